@@ -7,7 +7,7 @@ GROUNDSTATION_LOCAL_DATA ?= local-data
 # Byte code is kept: without it every worker reads and rewrites all test files anew, 7 s each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run demo test test-all test-long test-durations test-usb check-local lint docs \
+.PHONY: help run demo test test-all test-long test-durations nightly test-usb check-local lint docs \
 	wheel bench bench-real bench-discrepancy soak clean
 
 help: ## this list
@@ -32,6 +32,14 @@ test-all: $(VENV)/.ready-dev ## every test: some 20 minutes on two cores
 
 test-long: $(VENV)/.ready-dev $(VENV)/.compiled ## what `make test` leaves out: tests/long_tests.txt
 	$(PYTEST) --part long $(ARGS)
+
+# What may move a motor, what the daemon promises, who gets in: a race of them shows in one run of
+# many. In CI by night.
+nightly: $(VENV)/.ready-dev $(VENV)/.compiled ## tests of safety, service, attack and learn ten times over, to the first failure
+	for time in 1 2 3 4 5 6 7 8 9 10; do \
+		echo "time $$time of 10"; \
+		$(PYTEST) -x tests/safety tests/service tests/attack tests/learn $(ARGS) || exit; \
+	done
 
 test-durations: $(VENV)/.ready-dev $(VENV)/.compiled ## measures every test, writes that list anew
 	$(PYTEST) -p support.durations --durations-to $(VENV)/durations.json $(ARGS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from firmware_sim.compiled import inner
 from firmware_sim.layout import Record
+from groundstation.telemetry.packet import FULL_16_BIT
 
 MIN_THRUST = 10000.0
 MIN_THRUST_TODAY = 1000.0
@@ -21,7 +22,7 @@ def accept(fw: Record, now_ns: int, roll: float, pitch: float, yaw: float, thrus
     fw.setpoint[1] = pitch
     fw.setpoint[2] = yaw
     fw.setpoint_thrust = thrust
-    fw.holds_height = fw.holds_climb = 0
+    fw.holds_height = fw.holds_climb = fw.holds_speed = 0
     fw.setpoint_ns = now_ns
 
 
@@ -33,10 +34,13 @@ def watch(fw: Record, now_ns: int) -> None:
         fw.setpoint[0] = 0.0
         fw.setpoint[1] = 0.0
         fw.setpoint[2] = 0.0
+        fw.holds_speed = 0
     if age > STOP_NS:
         fw.setpoint_thrust = 0.0
         fw.holds_height = fw.holds_climb = 0
     fw.thrust = 0.0
     least = MIN_THRUST_TODAY if fw.today != 0 else MIN_THRUST
     if fw.setpoint_thrust > least:
-        fw.thrust = min(fw.setpoint_thrust, MAX_THRUST)
+        # the loops of height and climb go on to full thrust
+        held = fw.holds_height + fw.holds_climb > 0 and fw.today != 0
+        fw.thrust = min(fw.setpoint_thrust, FULL_16_BIT if held else MAX_THRUST)

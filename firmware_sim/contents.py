@@ -1,7 +1,7 @@
 """What can be logged and set: the tables of contents of the firmware of 2014 and of today's.
 
 Types are those of the log (1 u8, 2 u16, 3 u32, 4 i8, 5 i16, 6 i32, 7 float, 8 half float) and of
-the parameters (8 u8, 6 float; 0x40 marks what can only be read).
+the parameters (8 u8, 10 u32, 6 float; 0x40 marks what can only be read, 0x10 what can be stored).
 """
 
 from __future__ import annotations
@@ -12,16 +12,25 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from firmware_sim.craft import CHOSEN, HEIGHT_DECK, StandIn
+from firmware_sim.craft import CHOSEN, CPU_ID, FLOW_DECK, HEIGHT_DECK, StandIn
 from firmware_sim.craft_state import CraftState
-from firmware_sim.physics import PARAMETER_NAMES
+from firmware_sim.persistent import (
+    EXTENDED,
+    PARAM_FLOAT,
+    PARAM_U8,
+    PARAM_U32,
+    PERSISTENT_GROUPS,
+    READ_ONLY,
+)
+from firmware_sim.physics import DRAG_NAMES, PARAMETER_NAMES, RESET_ESTIMATOR
 from firmware_sim.settings import StandInSettings
 from firmware_sim.supervisor import CAN_FLY, CRASHED, FLYING, LEVEL_OUT, LOCKED, PASSED
 
 U8, U16, U32, I8, I16, I32, FLOAT, HALF = range(1, 9)
-PARAM_FLOAT, PARAM_U8, READ_ONLY = 0x06, 0x08, 0x40
 TODAY = 4
 """The protocol from which on numbers in the tables have 16 bits."""
+DRAG_KNOWN = 12
+"""The protocol from which on the Kalman filter has a drag."""
 MOTORS_16_BIT = 8
 """The protocol from which on ``motor.m1`` is an unsigned number of 16 bits."""
 
@@ -56,7 +65,7 @@ def contents_of(craft: StandIn) -> Contents:
     variables = _variables_of_today(motors, has)
     absent = ("pm.", "pwm.", "deck.") if has.software_build else ()
     return Contents(
-        tuple(one for one in _parameters_of_today() if not one[0].startswith(absent)),
+        tuple(one for one in _parameters_of_today(craft.protocol) if not one[0].startswith(absent)),
         tuple(one for one in variables if not one[0].startswith(absent)),
         most_blocks=16,
         most_variables=128,
@@ -68,16 +77,22 @@ def checksum(items: list[bytes]) -> bytes:
     return zlib.crc32(b"".join(items)).to_bytes(4, "little")
 
 
-def _parts(group: str, kind: int, field: str, names: Sequence[str] = "xyz") -> Iterator[Variable]:
+def _parts(
+    group: str, kind: int, field: str, names: Sequence[str] = "xyz", *, scale: float = 1.0
+) -> Iterator[Variable]:
     for index, name in enumerate(names):
-        yield f"{group}.{name}", kind, _part(field, index)
+        yield f"{group}.{name}", kind, _part(field, index, scale)
 
 
-def _part(field: str, index: int) -> Callable[[CraftState], float]:
-    return lambda state: float(getattr(state, field)[index])
+def _part(field: str, index: int, scale: float) -> Callable[[CraftState], float]:
+    return lambda state: scale * float(getattr(state, field)[index])
 
 
 ANGLES = ("roll", "pitch", "yaw")
+COMMANDS = ("cmd_thrust", "cmd_roll", "cmd_pitch", "cmd_yaw")
+SPEEDS = ("vx", "vy", "vz")
+VARIANCES = ("varX", "varY", "varZ", "varPX", "varPY", "varPZ")
+"""Of position, and of velocity, whose letter is that of momentum."""
 MOTORS = ("m1", "m2", "m3", "m4")
 
 PARAMETERS: tuple[tuple[str, int], ...] = tuple(
@@ -98,13 +113,20 @@ VARIABLES: tuple[Variable, ...] = (
 """Of 2014."""
 
 
-def _parameters_of_today() -> Iterator[tuple[str, int]]:
+def _parameters_of_today(protocol: int) -> Iterator[tuple[str, int]]:
     for name, kind in PARAMETERS:
         if not name.startswith(("sensorfusion6.", "imu_acc_lpf.")):
-            yield name, kind
+            yield name, kind | (EXTENDED if name.startswith(PERSISTENT_GROUPS) else 0)
     for name in CHOSEN:
         yield name, PARAM_U8
-    yield HEIGHT_DECK, PARAM_U8 | READ_ONLY
+    for name in (HEIGHT_DECK, FLOW_DECK):
+        yield name, PARAM_U8 | READ_ONLY
+    for name in CPU_ID:
+        yield name, PARAM_U32 | READ_ONLY
+    yield RESET_ESTIMATOR, PARAM_U8
+    if protocol >= DRAG_KNOWN:
+        for name in DRAG_NAMES:
+            yield name, PARAM_FLOAT
 
 
 def _variables_of_today(motors: int, has: StandInSettings) -> Iterator[Variable]:
@@ -117,6 +139,7 @@ def _variables_of_today(motors: int, has: StandInSettings) -> Iterator[Variable]
         yield f"stateEstimate.{name}", FLOAT, _quaternion_part(index)
     yield "stateEstimateZ.quat", U32, lambda s: compressed(quaternion_of(s.angles_deg))
     yield from _parts("motor", motors, "motors", MOTORS)
+    yield from _parts("controller", FLOAT, "commands", COMMANDS)
     yield from _parts("pwm", U32, "motors", [f"{m}_pwm" for m in MOTORS])
     yield "pm.vbat", FLOAT, lambda s: s.battery_v
     yield "pm.vbatMV", U16, lambda s: 1000.0 * s.battery_v
@@ -125,15 +148,12 @@ def _variables_of_today(motors: int, has: StandInSettings) -> Iterator[Variable]
     if has.rotor_speed_deck:
         for index, name in enumerate(MOTORS):
             yield f"rpm.{name}", U16, _rotor_rpm(index)
-    for index, name in enumerate("xy"):
-        where = _part("position_m", index)
-        yield f"stateEstimate.{name}", FLOAT, where if has.positioned else lambda s: 0.0
-    for name in ("vx", "vy"):  # which nothing on board tells
-        yield f"stateEstimate.{name}", FLOAT, lambda s: 0.0
-    yield "stateEstimate.z", FLOAT, lambda s: s.height_m
-    yield "stateEstimate.vz", FLOAT, lambda s: s.climb_m_s
-    yield "kalman.varPZ", FLOAT, lambda s: s.height_variance_m2
-    if has.height_deck:
+    yield from _parts("stateEstimate", FLOAT, "estimate_m")
+    yield from _parts("stateEstimate", FLOAT, "estimate_m_s", SPEEDS)
+    yield from _parts("stateEstimateZ", I16, "estimate_m", scale=1000.0)
+    yield from _parts("stateEstimateZ", I16, "estimate_m_s", SPEEDS, scale=1000.0)
+    yield from _parts("kalman", FLOAT, "variances", VARIANCES)
+    if has.height_deck or has.flow_deck:
         yield "range.zrange", U16, lambda s: 1000.0 * s.range_m
 
 

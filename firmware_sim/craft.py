@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from firmware_sim.layout import (
     STATE,
     TRUTH,
 )
+from firmware_sim.persistent import set_in, value_in
 from firmware_sim.settings import StandInSettings
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.telemetry.packet import Packets, encode
@@ -33,8 +36,10 @@ HISTORY_PASSES = 1000
 
 HOLDS_THRUST = 32767.0
 """What neither climbs nor sinks, with ``flightmode.althold``; 0 sinks with 1 m/s."""
-HEIGHT_DECK = "deck.bcZRanger2"
-"""What the firmware says of it can only be read."""
+HEIGHT_DECK, FLOW_DECK = "deck.bcZRanger2", "deck.bcFlow2"
+"""What the firmware says of them can only be read. A Flow deck has the Z-ranger's sensor too."""
+CPU_ID = ("cpu.id0", "cpu.id1", "cpu.id2")
+"""The craft's own number, 32 bits each, the lowest first."""
 ESTIMATOR, CONTROLLER = "stabilizer.estimator", "stabilizer.controller"
 CHOSEN = (ESTIMATOR, CONTROLLER)
 """By which today's firmware chooses who flies: kept and said, and change nothing."""
@@ -47,9 +52,13 @@ class StandIn:
     """A craft that flies its programme, or what a client commands, and is heard by a bridge.
 
     Thread-safe: a worker may advance it while a server reads its state and commands it.
+
+    stored: what its EEPROM holds of parameters, by full name; loaded whenever it is switched on.
     """
 
-    def __init__(self, settings: StandInSettings | None = None) -> None:
+    def __init__(
+        self, settings: StandInSettings | None = None, stored: dict[str, float] | None = None
+    ) -> None:
         from firmware_sim.bridge import Bridge
         from firmware_sim.flight import fly
         from firmware_sim.physics import (
@@ -64,6 +73,7 @@ class StandIn:
         from firmware_sim.radio import transmit
 
         self.settings = settings or StandInSettings()
+        self.stored = {} if stored is None else stored
         self._lock = threading.Lock()
         self._parameters = parameters(self.settings)
         self._fresh_firmware = firmware(self.settings)
@@ -78,8 +88,10 @@ class StandIn:
         self.device = DEVICES.get(vehicle.name, "Crazyflie 2.1")
         """What today's craft calls itself."""
         is_today = firmware_of(self.settings, vehicle) == "2.x"
-        self.protocol = self.settings.protocol if is_today else 1
+        self.protocol = self.settings.speaks if is_today else 1
         """Version of CRTP."""
+        self.cpu_id = own_number(self.settings)
+        """The craft's own number, of 96 bits."""
         self._hover = hover_thrust(self.settings)
         self._state = np.zeros(1, STATE)
         self._sticks = Sticks(load_programme(self.settings.program), self.settings.seed)
@@ -155,7 +167,7 @@ class StandIn:
                 fw["setpoint_thrust"] = fw["thrust"]  # until the next pass of its loop
             elif not held or (thrust <= 10000 and not today):
                 fw["setpoint_thrust"] = float(thrust)
-            fw["holds_height"] = 0
+            fw["holds_height"] = fw["holds_speed"] = 0
             fw["setpoint_ns"] = fw["client_ns"] = now
 
     def command_height(
@@ -164,11 +176,30 @@ class StandIn:
         """The same with a height in the place of thrust, which today's firmware then finds itself;
         one that does not know its height does not fly."""
         with self._lock:
+            self._firmware[0]["setpoint"] = roll_deg, pitch_deg, yaw_dps
+            self._hold(height_m)
+
+    def command_hover(self, vx_m_s: float, vy_m_s: float, yaw_dps: float, height_m: float) -> None:
+        """The same with a velocity in the place of angles: forward and to the left of the heading,
+        as the firmware's estimator knows it. Yaw rate clockwise."""
+        with self._lock:
             fw = self._firmware[0]
-            fw["setpoint"] = roll_deg, pitch_deg, yaw_dps
-            fw["holds_height"], fw["setpoint_height"] = fw["knows_height"], height_m
-            fw["holds_climb"] = 0
+            fw["setpoint"][2], fw["setpoint_speed"] = yaw_dps, (vx_m_s, vy_m_s)
+            self._hold(height_m, speed=True)
+
+    def command_stop(self) -> None:
+        """A client's setpoint of nothing: the motors stop, whatever was asked for before."""
+        with self._lock:
+            fw = self._firmware[0]
+            fw["setpoint"] = fw["setpoint_thrust"] = 0.0
+            fw["holds_height"] = fw["holds_climb"] = fw["holds_speed"] = 0
             fw["setpoint_ns"] = fw["client_ns"] = self._now_ns
+
+    def _hold(self, height_m: float, speed: bool = False) -> None:
+        fw = self._firmware[0]
+        fw["holds_height"], fw["setpoint_height"] = fw["knows_height"], height_m
+        fw["holds_speed"], fw["holds_climb"] = speed, 0
+        fw["setpoint_ns"] = fw["client_ns"] = self._now_ns
 
     def arm(self, armed: bool) -> bool:
         """Arm the motors, or disarm them; whether it was done. Brushed craft arm themselves again
@@ -199,30 +230,31 @@ class StandIn:
 
     def get_parameter(self, name: str) -> float:
         """A firmware parameter by full name (``pid_rate.roll_kp``)."""
-        from firmware_sim.physics import gain_place
-
         if name == HEIGHT_DECK:
-            return float(self.settings.height_deck)
+            return float(self.settings.height_deck or self.settings.flow_deck)
+        if name == FLOW_DECK:
+            return float(self.settings.flow_deck)
+        if name in CPU_ID:
+            return float(self.cpu_id >> 32 * CPU_ID.index(name) & 0xFFFFFFFF)
         if name in CHOSEN:
             return self._chosen[name]
-        column, axis = gain_place(name)
         with self._lock:
-            value = self._firmware[0][column]
-            return float(value if axis < 0 else value[axis])
+            return value_in(self._firmware[0], name)
+
+    def default_of(self, name: str) -> float:
+        """A parameter's value without anything stored or set."""
+        if name in CHOSEN:
+            knows = KALMAN if self.settings.knows_height else COMPLEMENTARY
+            return knows if name == ESTIMATOR else PID
+        return value_in(self._fresh_firmware[0], name)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Write a firmware parameter; lost at the next restart, as in the craft."""
-        from firmware_sim.physics import gain_place
-
+        """Write a firmware parameter; lost at the next restart unless it is stored."""
         if name in CHOSEN:
             self._chosen[name] = float(value)
             return
-        column, axis = gain_place(name)
         with self._lock:
-            if axis < 0:
-                self._firmware[0][column] = value
-            else:
-                self._firmware[0][column][axis] = value
+            set_in(self._firmware[0], name, value)
 
     @property
     def time_s(self) -> float:
@@ -280,7 +312,9 @@ class StandIn:
             self._truth.append(truth[:written])
         if flown < passes:
             self._power_on(first=False)
-        self._history = np.concatenate([self._history, rows[:written]])[-HISTORY_PASSES:]
+        kept = rows[:written][-HISTORY_PASSES:]
+        before = self._history[max(0, len(self._history) + len(kept) - HISTORY_PASSES) :]
+        self._history = np.concatenate([before, kept])
         return rows[:written]
 
     def _row_at(self, uptime_ms: int) -> Any:
@@ -322,8 +356,9 @@ class StandIn:
 
         s, p = self._state[0], self._parameters[0]
         self._firmware[:] = self._fresh_firmware
-        estimator = KALMAN if self.settings.knows_height else COMPLEMENTARY
-        self._chosen = {ESTIMATOR: estimator, CONTROLLER: PID}
+        for name, value in list(self.stored.items()):
+            set_in(self._firmware[0], name, value)
+        self._chosen = {name: self.default_of(name) for name in CHOSEN}
         self._unlocked = False
         if first:
             s["rng"] = seeded(self.settings.seed, len(s["rng"]))
@@ -346,6 +381,14 @@ class StandIn:
         fw = self._firmware[0]
         fw["low_ns"] = fw["critical_ns"] = fw["setpoint_ns"] = now
         s["supply_mv"] = s["reported_mv"] = p["stiff_mv"] or open_circuit_mv(float(s["charge"]))
+
+
+def own_number(settings: StandInSettings) -> int:
+    """A craft's own number, 96 bits: another for another craft or seed."""
+    if settings.cpu_id is not None:
+        return settings.cpu_id
+    digest = hashlib.sha256(f"{Path(settings.craft).name} {settings.seed}".encode()).digest()
+    return int.from_bytes(digest[:12], "little")
 
 
 def _packets(rows: NDArray[np.void]) -> Packets:

@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from firmware_sim.layout import ROTOR
-
-HEIGHT_VARIANCE_M2 = 1e-5
-"""What the Kalman filter says of the height that it makes of ranges or positions."""
+from firmware_sim.layout import ROTOR, VELOCITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,9 +14,12 @@ class CraftState:
 
     time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
     firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
-    the firmware uses them. motors: 16-bit. height_m, climb_m_s: the firmware's estimates, range_m:
-    what a Z-ranger measures; 0 without one. height_variance_m2: of its Kalman filter, 0 where that
-    does not run. supervisor: state of ``supervisor``.
+    the firmware uses them. motors: 16-bit. commands: what the loops ask for, of thrust, roll, pitch
+    and yaw, 16-bit, 0 from the firmware of 2014. position_m, velocity_m_s: the truth; estimate_m,
+    estimate_m_s: what the firmware makes of it, in the world of its estimator. range_m: what a
+    Z-ranger measures; 0 without one. variances: of position and velocity (m^2, m^2/s^2) by its
+    Kalman filter, 0 where that does not run; lost: how often that began anew. supervisor: state of
+    ``supervisor``.
     """
 
     time_s: float
@@ -31,6 +31,7 @@ class CraftState:
     accel_g: tuple[float, float, float]
     thrust: int
     motors: tuple[int, int, int, int]
+    commands: tuple[float, float, float, float]
     battery_v: float
     power_state: int
     armed: bool
@@ -40,10 +41,12 @@ class CraftState:
     calibrated: bool
     position_m: tuple[float, float, float]
     rotor_rev_s: tuple[float, float, float, float]
-    height_m: float
-    climb_m_s: float
+    velocity_m_s: tuple[float, float, float]
+    estimate_m: tuple[float, float, float]
+    estimate_m_s: tuple[float, float, float]
     range_m: float
-    height_variance_m2: float
+    variances: tuple[float, float, float, float, float, float]
+    lost: int
 
     @classmethod
     def of(cls, fw: Any, s: Any) -> CraftState:
@@ -58,6 +61,7 @@ class CraftState:
             accel_g=_floats(fw["accel"]),
             thrust=int(fw["thrust"]),
             motors=tuple(int(m) for m in fw["pwm"]),  # type: ignore[arg-type]  # four
+            commands=_floats(fw["commands"]),
             battery_v=float(fw["battery_filter"]),
             power_state=int(fw["power_state"]),
             armed=bool(fw["armed"]),
@@ -67,11 +71,18 @@ class CraftState:
             calibrated=bool(fw["bias_found"]),
             position_m=_floats(s["y"][:3]),
             rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
-            height_m=float(fw["height"]),
-            climb_m_s=float(fw["climb"]),
+            velocity_m_s=_floats(s["y"][VELOCITY : VELOCITY + 3]),
+            estimate_m=_floats(fw["place"][:3]),
+            estimate_m_s=_floats(fw["place"][3:]),
             range_m=float(fw["range_m"]),
-            height_variance_m2=HEIGHT_VARIANCE_M2 * float(fw["knows_height"]),
+            variances=_floats(fw["place_variance"] * fw["knows_height"]),
+            lost=int(fw["kalman_resets"]),
         )
+
+    @property
+    def height_m(self) -> float:
+        """The firmware's estimate."""
+        return self.estimate_m[2]
 
     def at(self, row: Any, uptime_ms: int) -> CraftState:
         """With what a record of that time has of it, by the firmware's clock."""
@@ -84,10 +95,12 @@ class CraftState:
             accel_g=_floats(row["accel_g"]),
             thrust=int(row["thrust"]),
             motors=tuple(int(m) for m in row["pwm"]),  # type: ignore[arg-type]  # four
+            commands=_floats(row["commands"]),
             battery_v=float(row["battery_v"]),
             power_state=int(row["power_state"]),
             rotor_rev_s=_floats(row["rotor_rev_s"]),
-            height_m=float(row["height_m"]),
+            estimate_m=_floats(row["place"][:3]),
+            estimate_m_s=_floats(row["place"][3:]),
             range_m=float(row["range_m"]),
         )
 

@@ -17,9 +17,6 @@ from dataclasses import dataclass, field
 from firmware_sim.contents import (
     FLOAT,
     HALF,
-    PARAM_FLOAT,
-    PARAM_U8,
-    READ_ONLY,
     TODAY,
     U32,
     Contents,
@@ -29,6 +26,8 @@ from firmware_sim.contents import (
 )
 from firmware_sim.craft import StandIn
 from firmware_sim.craft_state import CraftState
+from firmware_sim.persistent import MISC, READ_ONLY, form_of, packed
+from firmware_sim.persistent import answer as misc_answer
 from firmware_sim.supervisor import CRASHED, LOCKED
 
 CONSOLE, PARAM, COMMANDER, MEM, LOG = 0, 2, 3, 4, 5
@@ -41,13 +40,14 @@ NULL_PACKET = b"\xff"
 MISSED_MS = 1000
 """A block that was not asked for so long has lost what came before, as a queue would."""
 
-_PARAM_FORMAT = {PARAM_FLOAT: "<f", PARAM_U8: "<B"}
 _LOG_FORMAT = {1: "<B", 2: "<H", 3: "<I", 4: "<b", 5: "<h", 6: "<i", FLOAT: "<f", HALF: "<e"}
 _HALF_MOST = 65504.0
 _SETPOINT = struct.Struct("<fffH")
 _AT_HEIGHT = struct.Struct("<Bffff")
-LEGACY_Z_DISTANCE, Z_DISTANCE = 2, 9
-"""Generic setpoints of attitude and height; the first counts yaw clockwise."""
+STOP_SETPOINT, LEGACY_Z_DISTANCE, LEGACY_HOVER, Z_DISTANCE, HOVER = 0, 2, 5, 9, 10
+"""Generic setpoints: nothing; angles and height; velocity and height. The legacy ones count yaw
+clockwise; the others came with protocol 9."""
+YAW_TURNED = 9
 
 CREATE, APPEND, DELETE, START, STOP, RESET, CREATE_V2, APPEND_V2, START_V2 = range(9)
 """Commands of the log; those of version 2 are today's."""
@@ -58,6 +58,7 @@ SAID = {
     LOCKED: "SUP: Locked, reboot required\n",
     CRASHED: "SUP: Crashed, recovery required\n",
 }
+LOST = "ESTKALMAN: State out of bounds, resetting\n"
 RELEASES = {7: "2023.11", 8: "2024.10", 9: "2025.02", 10: "2025.09", 12: "2026.04"}
 """Firmware releases by the protocol that they brought."""
 
@@ -81,7 +82,8 @@ class Conversation:
         self._by_both = self._today and craft.protocol < SUPERVISED
         self._boots = craft.boots
         self._blocks: dict[int, LogBlock] = {}
-        self._supervisor = craft.state().supervisor
+        state = craft.state()
+        self._supervisor, self._lost = state.supervisor, state.lost
 
     def answer(self, packet: bytes) -> list[bytes]:
         """The packets that answer ``packet``; none for what the firmware would ignore.
@@ -96,7 +98,7 @@ class Conversation:
         if port == COMMANDER and channel == 0:
             self._setpoint(data)
         elif port == GENERIC and channel == 0 and self._today:
-            self._setpoint_of_height(data)
+            self._generic_setpoint(data)
         elif port == PARAM:
             return [bytes([packet[0]]) + body for body in self._parameter(channel, data)]
         elif port == LOG:
@@ -116,7 +118,7 @@ class Conversation:
         """Log packets due before a time of the firmware's clock, ms, in order of time.
 
         What is due at that very time would hold the pass before: the one of that time is to come.
-        What the supervisor says goes before them.
+        What the console says goes before them.
         """
         if self._craft.boots != self._boots:  # a firmware that starts anew has no blocks
             self._boots = self._craft.boots
@@ -130,7 +132,7 @@ class Conversation:
             while block.next_ms < uptime_ms:
                 moments.append((block.next_ms, number))
                 block.next_ms += block.period_ms
-        out = self._said_by_supervisor()
+        out = self._said()
         states: dict[int, CraftState] = {}
         for moment, number in sorted(moments, key=lambda each: each[0]):
             if moment not in states:
@@ -142,9 +144,14 @@ class Conversation:
             out.append(bytes([LOG << 4 | 2, number]) + stamp + b"".join(values))
         return out
 
-    def _said_by_supervisor(self) -> list[bytes]:
-        before, self._supervisor = self._supervisor, self._craft.state().supervisor
-        text = SAID.get(self._supervisor, "") if self._supervisor != before else ""
+    def _said(self) -> list[bytes]:
+        """By supervisor and estimator, since the last time."""
+        state, text = self._craft.state(), ""
+        if state.supervisor != self._supervisor:
+            text += SAID.get(state.supervisor, "")
+        if state.lost > self._lost:
+            text += LOST
+        self._supervisor, self._lost = state.supervisor, state.lost
         return _console(text)
 
     def _setpoint(self, data: bytes) -> None:
@@ -154,13 +161,22 @@ class Conversation:
         if all(map(math.isfinite, (roll, pitch, yaw))):
             self._craft.command(roll, pitch, yaw, thrust)
 
-    def _setpoint_of_height(self, data: bytes) -> None:
-        if len(data) != _AT_HEIGHT.size or data[0] not in (LEGACY_Z_DISTANCE, Z_DISTANCE):
+    def _generic_setpoint(self, data: bytes) -> None:
+        if data[:1] == bytes([STOP_SETPOINT]):
+            self._craft.command_stop()
+        if len(data) != _AT_HEIGHT.size:
             return
-        kind, roll, pitch, yaw, height = _AT_HEIGHT.unpack(data)
-        if all(map(math.isfinite, (roll, pitch, yaw, height))):
-            clockwise = yaw if kind == LEGACY_Z_DISTANCE else -yaw
-            self._craft.command_height(roll, pitch, clockwise, height)
+        kind, first, second, yaw, height = _AT_HEIGHT.unpack(data)
+        if not all(map(math.isfinite, (first, second, yaw, height))):
+            return
+        legacy = kind in (LEGACY_Z_DISTANCE, LEGACY_HOVER)
+        if not legacy and self._craft.protocol < YAW_TURNED:
+            return
+        clockwise = yaw if legacy else -yaw
+        if kind in (LEGACY_Z_DISTANCE, Z_DISTANCE):
+            self._craft.command_height(first, second, clockwise, height)
+        elif kind in (LEGACY_HOVER, HOVER):
+            self._craft.command_hover(first, second, clockwise, height)
 
     def _request(self, port: int, channel: int, data: bytes) -> list[bytes]:
         """Versions, and requests to arm and to stop: on ports of their own from 2026 on."""
@@ -188,7 +204,7 @@ class Conversation:
     def _version(self, data: bytes) -> list[bytes]:
         said = {
             0: self._craft.protocol.to_bytes(4, "little"),
-            1: RELEASES[self._craft.protocol].encode(),
+            1: (self._craft.settings.release or RELEASES[self._craft.protocol]).encode(),
             2: self._craft.device.encode(),
         }
         if self._craft.settings.software_build:
@@ -201,6 +217,9 @@ class Conversation:
                 # of parameters nothing is told by them any more
                 return [data[:1] if data[0] == GET_ITEM else bytes([GET_INFO, 0, 0, 0])]
             return self._contents(data, self.contents.parameter_items, b"")
+        if channel == MISC and self._today:
+            told = misc_answer(self._craft, self.contents.parameters, data)
+            return [] if told is None else [told]
         width = 2 if self._today else 1
         if len(data) < width or channel not in (1, 2):
             return []
@@ -209,7 +228,7 @@ class Conversation:
         if number >= len(self.contents.parameters):
             return [place + bytes([errno.ENOENT]) if self._today else bytes([255, number, 2])]
         name, kind = self.contents.parameters[number]
-        form = struct.Struct(_PARAM_FORMAT[kind & ~READ_ONLY])
+        form = form_of(kind)
         if channel == 2:
             if len(given) != form.size or kind & READ_ONLY:
                 return []
@@ -219,7 +238,7 @@ class Conversation:
                 self._craft.set_parameter(name, value)
         value = self._craft.get_parameter(name)
         status = b"\0" if self._today and channel == 1 else b""
-        return [place + status + form.pack(value if kind == PARAM_FLOAT else int(value))]
+        return [place + status + packed(kind, value)]
 
     def _log(self, channel: int, data: bytes) -> list[bytes]:
         if not data:

@@ -10,8 +10,9 @@ from firmware_sim.bench_motor import watch_gate
 from firmware_sim.commander import watch
 from firmware_sim.compiled import inner
 from firmware_sim.fusion import COUNTS_PER_DPS, COUNTS_PER_G, calibrate, fuse, smooth_acceleration
-from firmware_sim.height import estimate_height, hold_climb, hold_height
+from firmware_sim.height import begin_anew, estimate_height, hold_climb, hold_height, hold_speed
 from firmware_sim.imu import fetch, sample
+from firmware_sim.kalman import estimate
 from firmware_sim.layout import (
     CLOCK_STREAM,
     FIXED,
@@ -119,8 +120,10 @@ def _firmware(p: Record, fw: Record, s: Record, index: int, slot: int) -> None:
         if p.ideal_attitude != 0:
             for i in range(3):
                 fw.angles[i] = s.ring_angles[slot, i]
-        else:
+        elif fw.kalman == 0:
             fuse(fw)
+    if fw.kalman != 0:
+        estimate(p, fw, s, index)
 
 
 @inner
@@ -130,7 +133,12 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
         _motor_test(fw, s.now_ns - s.boot_ns - WAIT_NS)
     else:
         if fw.knows_height != 0:
-            estimate_height(fw, s, index)
+            if fw.kalman == 0:
+                estimate_height(p, fw, s, index)
+            if fw.resets_modes != 0:
+                begin_anew(fw)
+            if fw.knows_place != 0:
+                hold_speed(fw, index)
             if fw.holds_height != 0:
                 fw.setpoint_thrust = hold_height(fw, index)
         if fw.holds_climb != 0:
@@ -146,13 +154,21 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
             stabilize(p, fw)
     for i in range(4):
         if fw.today != 0 and fw.bias_found != 0:
-            s.duty[i] = fw.pwm[i] / FULL_16_BIT
+            s.duty[i] = _driven(p, fw.pwm[i])
         else:
             fw.pwm[i] = fw.compare[i] << 7
             s.duty[i] = fw.compare[i] / FULL_COMPARE
     supply(p, s)
     if index % ADC_PASSES == 0 or p.adc_filter == 0:
         read_adc(p, fw, s)
+
+
+@inner
+def _driven(p: Record, pwm: int) -> float:
+    """Share of full PWM that a motor gets from its driver."""
+    if p.pwm_steps == 0:
+        return float(pwm / FULL_16_BIT)
+    return float(pwm * p.pwm_steps // 65536 / p.pwm_steps)
 
 
 @inner
@@ -221,7 +237,8 @@ def _report(p: Record, fw: Record, s: Record, row: Record, slot: int, index: int
     row.ticks = s.timer_phase + math.floor(elapsed + late + 8.0)
     row.battery = int(fw.battery_filter * 1000.0 + 0.5)
     for i in range(4):
-        row.motors[i] = min(int(s.duty[i] * FULL_COMPARE + 0.5), 511) << 3
+        share = fw.pwm[i] / FULL_16_BIT if p.pwm_steps != 0 else s.duty[i]
+        row.motors[i] = min(int(share * FULL_COMPARE + 0.5), 511) << 3
     for i in range(3):
         row.gyro[i] = s.ring_gyro[slot, i]
         row.accelerometer[i] = s.ring_accel[slot, i]
@@ -242,8 +259,10 @@ def _log(fw: Record, s: Record, row: Record) -> None:
     for i in range(4):
         row.pwm[i] = fw.pwm[i]
         row.rotor_rev_s[i] = s.y[ROTOR + i]
+        row.commands[i] = fw.commands[i]
     row.thrust = fw.thrust
-    row.height_m = fw.height
+    for i in range(6):
+        row.place[i] = fw.place[i]
     row.range_m = fw.range_m
     row.power_state = fw.power_state
 

@@ -70,6 +70,7 @@ PARAMETERS = np.dtype(
         ("adc_filter", "i8"),  # 1: the firmware's slow filter and 2 mV steps
         ("reading_lag", "f8"),  # s
         ("protection_a", "f8"),  # 0: none
+        ("pwm_steps", "i8"),  # of the motors' driver, 0: as many as it is told
         ("swap_ns", "i8"),  # time without power until a fresh cell is in
         # noise
         ("torque_noise", "f8", (3,)),  # rad/s^2, held over a pass
@@ -94,6 +95,10 @@ PARAMETERS = np.dtype(
         ("gyro_filter", "f8", (5,)),
         ("accel_filter", "f8", (5,)),
         ("shake", "f8", (3,)),  # imbalance: m/s^2 in plane, m/s^2 axial, rad/s; at 250 rev/s
+        # decks
+        ("flow_noise", "f8"),  # tenths of a pixel
+        ("range_sticks_ns", "i8"),  # after power-on, -1: never
+        ("range_stuck_m", "f8"),  # < 0: where it then is
         # timer
         ("timer_jitter", "f8"),  # ticks
         ("gate_glitches", "f8"),
@@ -124,6 +129,7 @@ PARAMETERS = np.dtype(
         ("load_below", "f8"),  # m
         ("aided_strength", "f8"),
         ("aided_time", "f8"),  # s
+        ("flow_aided", "i8"),  # 1: the estimator of a Flow deck says the attitude
         ("windy", "i8"),
         ("wind", "f8", (6,)),  # rad/s^2 about, m/s^2 along the body's axes
         ("wind_time", "f8"),  # s
@@ -184,10 +190,13 @@ FIRMWARE = np.dtype(
         ("turned_ns", "i8"),  # when a motor last ran, -1: never
         ("thrust_curve", "f8", (4,)),  # N from V
         ("thrust_most_n", "f8"),
+        ("thrust_least_n", "f8"),
+        ("by_grams", "i8"),  # 1: the curve of the releases until 2025.02
         ("heading", "f8"),  # deg, that is held
         ("wanted", "f8", (4,)),
         ("idle", "i8"),  # 16-bit PWM that motors get at least, where they may run
         ("pwm", "i8", (4,)),  # 16-bit PWM
+        ("commands", "f8", (4,)),  # of the loops: thrust, roll, pitch, yaw
         # state of the PIDs
         ("rate_integral", "f8", (3,)),
         ("rate_previous", "f8", (3,)),
@@ -213,15 +222,32 @@ FIRMWARE = np.dtype(
         ("thrust", "f8"),
         # height, by a deck that measures it or a positioning system
         ("knows_height", "i8"),
+        ("knows_place", "i8"),
         ("holds_height", "i8"),  # 1: the setpoint is a height
+        ("holds_speed", "i8"),  # 1: and a velocity in the place of angles
+        ("setpoint_speed", "f8", (2,)),  # m/s forward and to the left
         ("setpoint_height", "f8"),  # m
         ("holds_climb", "i8"),  # 1: the setpoint is a rate of climb
         ("setpoint_climb", "f8"),  # m/s
         ("range_m", "f8"),
         ("height", "f8"),  # m, estimated
         ("climb", "f8"),  # m/s, estimated
+        ("place", "f8", (6,)),  # m and m/s in the estimator's world, as it says
+        ("place_variance", "f8", (6,)),  # of position and velocity
+        ("base_thrust", "f8"),
         ("height_integral", "f8"),
         ("climb_integral", "f8"),
+        ("speed_integral", "f8", (2,)),
+        ("resets_modes", "i8"),  # 1: the loops begin anew with another kind of setpoint
+        ("mode", "i8"),  # kind of the last setpoint
+        # the estimator of a Flow deck, see ``kalman``
+        ("kalman", "i8"),  # 1: it runs
+        ("kalman_reset", "i8"),  # 1: asked to begin anew; it does at power-on
+        ("kalman_resets", "i8"),
+        ("kalman_state", "f8", (6,)),
+        ("kalman_variance", "f8", (9, 9)),
+        ("kalman_sum", "f8", (2, 3)),  # m/s^2 and rad/s since its last step
+        ("kalman_drag", "f8", (2,)),  # 1/s
         # outputs
         ("compare", "i8", (4,)),  # 9-bit PWM
         # power management
@@ -293,7 +319,8 @@ ROWS = np.dtype(
         ("accel_g", "f8", (3,)),
         ("angles_deg", "f8", (3,)),
         ("thrust", "f8"),
-        ("height_m", "f8"),
+        ("commands", "f4", (4,)),
+        ("place", "f4", (6,)),
         ("range_m", "f8"),
         ("pwm", "i8", (4,)),  # 16 bits, computed in this pass
         ("battery_v", "f8"),

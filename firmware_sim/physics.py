@@ -49,6 +49,9 @@ DLPF: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {
 }
 """DLPF_CFG -> (bandwidth in Hz, delay in s) of the gyro and of the accelerometer."""
 BUS_S = 0.4e-3
+KNOWN_VARIANCE, UNKNOWN_VARIANCE = 1e-5, 100.0
+FLOW_NOISE_COUNTS = 1.0
+"""Of a Flow deck over a floor that it sees well: half of what the firmware expects."""
 THESIS_GAINS = {
     "pid_rate.roll_kp": 12.0,
     "pid_rate.pitch_kp": 12.0,
@@ -119,6 +122,7 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
     p["gate_glitches"] = settings.gate_glitches
     p["resume_ns"] = round(settings.resume_s * 1e9)
     p["land_when_low"] = settings.land_when_low
+    _deck(p, settings)
     draws = np.random.default_rng((settings.seed, 1))
     phase, ppm = draws.uniform(0, PASS_NS * 1e-9), draws.normal(0, 10.0)
     sensor = settings.sensor
@@ -132,13 +136,15 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
         p["gyro_noise"] = settings.sensor_noise * math.radians(0.10)
         p["accel_noise"] = settings.sensor_noise * 0.01 * G
         p["angle_noise"] = settings.sensor_noise * math.radians(0.02)
-        p["ideal_attitude"] = p["in_step"] = 1
+        p["ideal_attitude"], p["in_step"] = not settings.estimated, 1
         p["sensor_period_ns"] = PASS_NS
         p["timer_jitter"] = 1.0
     else:
         _faithful(p, vehicle, settings)
         if firmware_of(settings, vehicle) == "2.x":
             _sensor_of_today(p, phase)
+            p["plane_drag"] = today.DRAG_PER_S * vehicle.mass_kg
+            p["pwm_steps"] = 0 if today.needs_arming(vehicle) else today.PWM_STEPS
         else:
             _sensor_timing(p, sensor, phase, ppm)
     if firmware_of(settings, vehicle) == "2.x":
@@ -159,6 +165,15 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
             f" must be at most {most_ns * 1e-6:g}"
         )
     return record
+
+
+def _deck(p: Any, settings: StandInSettings) -> None:
+    """What a Flow deck, or a deck of ranges, measures."""
+    p["flow_aided"] = settings.flow_deck
+    p["flow_noise"] = settings.sensor_noise * FLOW_NOISE_COUNTS
+    sticks_s, stuck_m = settings.range_sticks_s, settings.range_stuck_m
+    p["range_sticks_ns"] = -1 if sticks_s is None else round(sticks_s * 1e9)
+    p["range_stuck_m"] = -1.0 if stuck_m is None else stuck_m
 
 
 def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
@@ -191,7 +206,7 @@ def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
 
 def firmware(settings: StandInSettings) -> NDArray[np.void]:
     """The FIRMWARE record at power-on, shape (1,)."""
-    vehicle, _ = craft_of(settings)
+    vehicle, model = craft_of(settings)
     record = np.zeros(1, FIRMWARE)
     fw = record[0]
     is_today = firmware_of(settings, vehicle) == "2.x"
@@ -203,10 +218,16 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
     fw["tilted_ns"] = fw["turned_ns"] = -1
     if is_today:
         fw["today"], fw["accel_factor"] = 1, 256.0  # the fusion sees what is logged
-        fw["knows_height"] = settings.knows_height
-        fw["thrust_curve"], fw["thrust_most_n"] = today.thrust_curve(vehicle)
+        fw["knows_height"], fw["knows_place"] = settings.knows_height, settings.knows_place
+        fw["kalman"] = fw["kalman_reset"] = settings.flow_deck
+        fw["base_thrust"] = today.base_thrust(vehicle)
+        fw["place_variance"] = place_variances(settings)
+        fw["resets_modes"] = settings.begins_anew
+        curve = today.thrust_curve(vehicle, settings.release, model)
+        fw["thrust_curve"], fw["thrust_most_n"] = curve.newtons, curve.most_n
+        fw["thrust_least_n"], fw["by_grams"] = curve.least_n, curve.by_grams
         fw["idle"] = today.idle_pwm(vehicle)
-        fw["compensates"] = not settings.software_build
+        fw["compensates"] = curve.battery and not settings.software_build
     fw["altitude_hold"] = float(settings.altitude_hold)
     fw["pilot_holds"] = settings.altitude_hold or not is_today
     quirks = settings.quirks
@@ -225,6 +246,15 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
     return record
 
 
+def place_variances(settings: StandInSettings) -> NDArray[np.float64]:
+    """What the Kalman filter says of position (m^2) and velocity (m^2/s^2) where its own model
+    does not fly: nothing where it does not run."""
+    if not settings.knows_height:
+        return np.zeros(6)
+    known = [settings.positioned, settings.positioned, True] * 2
+    return np.where(known, KNOWN_VARIANCE, UNKNOWN_VARIANCE)
+
+
 def gain_place(name: str) -> tuple[str, int]:
     """Where a parameter lives in the FIRMWARE record: (field, index), index -1 for a scalar.
 
@@ -232,6 +262,8 @@ def gain_place(name: str) -> tuple[str, int]:
     """
     if name in PARAMETER_NAMES:
         return PARAMETER_NAMES[name]
+    if name in _KALMAN_NAMES:
+        return _KALMAN_NAMES[name]
     raise ValueError(f"firmware parameter {name!r}: there are {', '.join(PARAMETER_NAMES)}")
 
 
@@ -242,9 +274,10 @@ def firmware_of(settings: StandInSettings, vehicle: Vehicle) -> str:
 
 def hover_thrust(settings: StandInSettings) -> float:
     """16-bit thrust that carries the craft: of 2014 at 3.7 V."""
-    vehicle, _ = craft_of(settings)
+    vehicle, model = craft_of(settings)
     if firmware_of(settings, vehicle) == "2.x":
-        return today.hover_command(vehicle)
+        curve = today.thrust_curve(vehicle, settings.release, model)
+        return today.hover_command(vehicle, curve)
     rotor = math.sqrt(G / (4 * vehicle.thrust_per_mass))
     return vehicle.motor.armature_mv(rotor) / 3700.0 * 65536.0
 
@@ -264,6 +297,10 @@ def _places() -> dict[str, tuple[str, int]]:
 
 PARAMETER_NAMES = _places()
 """The firmware's parameters by full name, in the order of its table of contents."""
+DRAG_NAMES = {"kalman.dragB_x": ("kalman_drag", 0), "kalman.dragB_y": ("kalman_drag", 1)}
+RESET_ESTIMATOR = "kalman.resetEstimation"
+_KALMAN_NAMES = {**DRAG_NAMES, RESET_ESTIMATOR: ("kalman_reset", -1)}
+"""Those of a Flow deck's estimator, which begins anew when it is asked to."""
 
 
 def _body(p: Any, vehicle: Vehicle) -> None:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from firmware_sim.releases import BEGINS_ANEW, PROTOCOLS_OF
 from groundstation.documents import decode_toml, read_document
 
 DLPF_SETTINGS = (1, 2, 3, 4, 5, 6)
@@ -124,10 +125,19 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     firmware: whose loops fly: ``2014`` or ``2.x``; None: the vehicle's.
     protocol: CRTP version of a craft with today's firmware, 7 (2023) to 12 (2026); one of 2014
         speaks its own.
+    release: of today's firmware, which then has its thrust curve, its supervisor and its protocol;
+        None: the curve that the design of gains reckons with, and the protocol above.
     rotor_speed_deck: today's craft measures its rotor speeds.
     software_build: today's firmware as it is built to run in software: it knows no battery, does
         not say what it is, and repeats a request to arm without doing it.
     height_deck: today's craft has a Z-ranger and takes setpoints of height.
+    flow_deck: it has a Flow deck, which measures height and the speed over ground: its Kalman
+        filter says attitude, velocity and position, and it takes setpoints of velocity as well.
+    range_sticks_s: the range sensor sticks so long after power-on, None: never. range_stuck_m: at
+        what it then says, None: what it said before, nothing if it had not said anything.
+    cpu_id: the craft's own number, None: made from its name and the seed.
+    estimated: the deck's filter says the attitude of a reduced or a fitted plant as well, whose
+        angles are otherwise the truth: it is trimmed, and drifts, as a real one does.
     positioned: a positioning system tells today's craft where it is, and it takes them too.
     upside_down: it lies on its back when it is switched on.
     substeps: Runge-Kutta steps per pass.
@@ -158,8 +168,14 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     resume_s: float = 30.0
     firmware: Literal["2014", "2.x"] | None = None
     protocol: int = 10
+    release: str | None = None
     rotor_speed_deck: bool = False
     height_deck: bool = False
+    flow_deck: bool = False
+    range_sticks_s: float | None = None
+    range_stuck_m: float | None = None
+    cpu_id: int | None = None
+    estimated: bool = False
     positioned: bool = False
     software_build: bool = False
     upside_down: bool = False
@@ -169,7 +185,12 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     @property
     def knows_height(self) -> bool:
         """Today's craft is told its height and takes setpoints of it."""
-        return self.height_deck or self.positioned
+        return self.height_deck or self.flow_deck or self.positioned
+
+    @property
+    def knows_place(self) -> bool:
+        """It knows its velocity over ground as well."""
+        return self.flow_deck or self.positioned
 
     def __post_init__(self) -> None:
         _require(
@@ -186,11 +207,16 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
                 "charge": (0.0, 1.0),
                 "recharge_s": (0.0, 1e6),
                 "resume_s": (0.0, 1e9),
+                "range_sticks_s": (0.0, 1e9),
+                "range_stuck_m": (0.0, 100.0),
+                "cpu_id": (0, 2**96 - 1),
                 "substeps": (1, 1000),
             },
         )
         if self.protocol not in PROTOCOLS:
             raise ValueError(f"protocol is {self.protocol}, must be one of {PROTOCOLS}")
+        if self.release is not None and self.release not in PROTOCOLS_OF:
+            raise ValueError(f"release is {self.release}, must be one of {', '.join(PROTOCOLS_OF)}")
         for name, value in self.gains.items():
             if not math.isfinite(value):
                 raise ValueError(f"gains: {name} is {value}, must be finite")
@@ -199,7 +225,18 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     def supervised_as(self) -> int:
         """The protocol that came with this craft's supervisor: that of April 2024, built to run in
         software, already knows of crashes and landings."""
-        return max(self.protocol, 8) if self.software_build else self.protocol
+        return max(self.speaks, 8) if self.software_build else self.speaks
+
+    @property
+    def speaks(self) -> int:
+        """Its version of CRTP."""
+        return self.protocol if self.release is None else PROTOCOLS_OF[self.release]
+
+    @property
+    def begins_anew(self) -> bool:
+        """Its loops begin anew with another kind of setpoint; without a release those of a craft
+        with a Flow deck do, as those of the newest."""
+        return self.flow_deck if self.release is None else self.release >= BEGINS_ANEW
 
 
 def load_settings(path: Path) -> StandInSettings:

@@ -12,6 +12,7 @@ from typing import Any
 
 from firmware_sim.compiled import inner
 from firmware_sim.layout import Record
+from firmware_sim.releases import GRAMS, VOLTS_OF_GRAMS
 from firmware_sim.supervisor import may_run
 from groundstation.telemetry.packet import FULL_16_BIT
 
@@ -23,13 +24,16 @@ LEAST_SUPPLY_V = 2.0
 """Below it the firmware leaves the battery out."""
 MOST_MOTOR_V = 5.0
 NEWTON_STEPS = 6
+PER_GRAM, PER_SQUARE_GRAM = VOLTS_OF_GRAMS
 
 
 @inner
 def stabilize_today(fw: Record) -> None:
     """One pass: leaves 16-bit PWM in ``fw.pwm``."""
     runs = may_run(fw)
-    if fw.thrust <= 0.0 or not runs:
+    if not runs:
+        fw.thrust = 0.0
+    if fw.thrust <= 0.0:
         for axis in range(3):
             fw.rate_integral[axis] = 0.0
             fw.rate_previous[axis] = 0.0
@@ -38,6 +42,7 @@ def stabilize_today(fw: Record) -> None:
         fw.heading = fw.angles[2]
         for i in range(4):
             fw.pwm[i] = fw.idle if runs else 0
+            fw.commands[i] = 0.0
         return
     fw.heading = _turned(fw.heading - fw.setpoint[2] * DT)
     for axis in range(3):
@@ -53,11 +58,11 @@ def stabilize_today(fw: Record) -> None:
             ANGLE_LIMIT[axis],
         )
         fw.angle_previous[axis] = fw.angles[axis]
-    roll = _rate_loop(fw, 0, fw.gyro[0]) / 2.0
-    pitch = _rate_loop(fw, 1, -fw.gyro[1]) / 2.0
-    yaw = -_rate_loop(fw, 2, fw.gyro[2])
-    roll, pitch = float(int(roll)), float(int(pitch))
-    thrust = fw.thrust
+    fw.commands[0] = thrust = fw.thrust
+    fw.commands[1] = _rate_loop(fw, 0, fw.gyro[0])
+    fw.commands[2] = _rate_loop(fw, 1, -fw.gyro[1])
+    fw.commands[3] = yaw = -_rate_loop(fw, 2, fw.gyro[2])
+    roll, pitch = float(int(fw.commands[1] / 2.0)), float(int(fw.commands[2] / 2.0))
     mixed = (
         thrust - roll + pitch + yaw,
         thrust - roll - pitch - yaw,
@@ -79,7 +84,12 @@ def compensated(fw: Record, thrust: float) -> float:
     supply_v = fw.battery_filter
     if thrust <= 0.0 or supply_v < LEAST_SUPPLY_V or fw.compensates == 0:
         return thrust
+    if fw.by_grams != 0:
+        grams = thrust / FULL_16_BIT * GRAMS
+        return grams * (PER_GRAM + PER_SQUARE_GRAM * grams) / supply_v * FULL_16_BIT
     wanted_n = thrust / FULL_16_BIT * fw.thrust_most_n
+    if wanted_n < fw.thrust_least_n:
+        return 0.0
     c0, c1, c2, c3 = fw.thrust_curve[0], fw.thrust_curve[1], fw.thrust_curve[2], fw.thrust_curve[3]
     volts = 2.0
     for _ in range(NEWTON_STEPS):

@@ -7,8 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_sim.releases import ThrustCurve, curve_of
+from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import Vehicle
-from groundstation.telemetry.packet import FULL_16_BIT
 
 G = 9.80665
 LOOP_HZ = 1000.0
@@ -25,21 +26,18 @@ _BRUSHED = {
     "angle_kd": (0.0, 0.0, 0.35),
 }
 _BRUSHLESS = {**_BRUSHED, "rate_kp": (200.0, 200.0, 120.0), "rate_ki": (400.0, 400.0, 16.7)}
-_LEGACY = ((-0.014831, 0.047245, -0.018474, 0.0059609), 0.12)
-_CURVES = {
-    "crazyflie21": _LEGACY,
-    "crazyflie21plus": ((-0.024765, 0.065238, -0.026793, 0.0067768), 0.12),
-    "crazyflie21upgrade": ((0.0067281, 0.010116, 0.010263, 0.0028358), 0.18),
-    "brushless": ((-0.014059, 0.042653, 0.0018328, 0.0020577), 0.2),
-}
-"""Thrust of a motor in N from its voltage (constant, linear, ...), and the most it gives."""
+PLATFORMS = ("crazyflie21", "crazyflie21plus", "crazyflie21upgrade", "brushless")
+DRAG_PER_S = 0.31
+"""Drag of the rotors in their plane, over mass: measured on a 2.1+."""
+PWM_STEPS = 256
+"""Of the driver of brushed motors, below the 16 bits that the log shows."""
 BRUSHLESS_OHM = 1.0
 """Windings of brushless motors are below it, those of brushed ones above."""
 
 
 def platform_of(vehicle: Vehicle) -> str:
     """The built-in craft whose firmware a vehicle runs."""
-    if vehicle.name in _CURVES:
+    if vehicle.name in PLATFORMS:
         return vehicle.name
     return "brushless" if vehicle.winding_ohm < BRUSHLESS_OHM else "crazyflie21"
 
@@ -49,9 +47,18 @@ def stock_gains(vehicle: Vehicle) -> dict[str, tuple[float, float, float]]:
     return _BRUSHLESS if platform_of(vehicle) == "brushless" else _BRUSHED
 
 
-def thrust_curve(vehicle: Vehicle) -> tuple[tuple[float, ...], float]:
-    """The firmware's idea of thrust (N) from motor voltage, and of the most a motor gives."""
-    return _CURVES[platform_of(vehicle)]
+def thrust_curve(vehicle: Vehicle, release: str | None, model: Model | None = None) -> ThrustCurve:
+    """The firmware's idea of thrust from motor voltage; that of a model whose flights showed it is
+    a model's own."""
+    platform = platform_of(vehicle)
+    if model is not None and model.firmware_curve is not None:
+        return ThrustCurve(model.firmware_curve, curve_of(platform, None).most_n)
+    return curve_of(platform, release)
+
+
+def base_thrust(vehicle: Vehicle) -> float:
+    """16-bit thrust that the loop of climb begins with."""
+    return 30000.0 if platform_of(vehicle) == "brushless" else 36000.0
 
 
 def needs_arming(vehicle: Vehicle) -> bool:
@@ -69,14 +76,12 @@ def protection_a(vehicle: Vehicle) -> float:
     return 30.0 if platform_of(vehicle) == "brushless" else 4.0
 
 
-def hover_command(vehicle: Vehicle) -> float:
+def hover_command(vehicle: Vehicle, curve: ThrustCurve) -> float:
     """16-bit thrust that carries the craft, whatever the battery: what the firmware's curve, which
     need not be the craft's own, makes of the voltage that its motors need."""
-    curve, most_n = thrust_curve(vehicle)
     rotor_rev_s = math.sqrt(G / (4 * vehicle.thrust_per_mass))
     volts = vehicle.motor.armature_mv(rotor_rev_s) / 1000.0
-    thrust_n = sum(factor * volts**power for power, factor in enumerate(curve))
-    return thrust_n / most_n * FULL_16_BIT
+    return curve.command(volts)
 
 
 def low_pass(corner_hz: float) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ _JSON_TOKEN = rb'(?s:"(?:[^"\\]++|\\.)*+"?|[\[{]|[\]}])'
 
 def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
     """A descriptor of a regular file. Raises OSError, at once, for a pipe, device or folder."""
-    descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NONBLOCK)
+    descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NONBLOCK, 0o666)
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):
         return descriptor

@@ -1,4 +1,4 @@
-"""Files by name and by content: names for something new, and whether two hold the same."""
+"""Files by name and by content: new names, same content, writing whole or not at all."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import hashlib
 import os
 import stat
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
+from typing import IO
 
 from groundstation.errors import BadInputError
 
@@ -49,7 +52,48 @@ def require_content(path: Path) -> None:
         )
 
 
+@contextmanager
+def written_whole(path: Path, *, durable: bool = False) -> Iterator[IO[bytes]]:
+    """Open a file whose content appears under ``path`` whole, at the end, or not at all.
+
+    It is written beside ``path`` under a random name. So a link or pipe of either name, which came
+    with somebody else's folder, is replaced and not followed. durable: also on the disk then, for
+    what must outlive a power cut. Raises OSError.
+    """
+    beside = path.parent / f".{os.urandom(8).hex()}.new"
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(beside, flags, 0o666)
+    try:
+        with open(descriptor, "wb") as file:
+            yield file
+            if durable:
+                file.flush()
+                os.fsync(descriptor)
+        os.replace(beside, path)
+    except BaseException:
+        with suppress(OSError):
+            beside.unlink()
+        raise
+    if durable:
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def write_whole(path: Path, content: bytes | str, *, durable: bool = False) -> None:
+    """Write a file as ``written_whole`` does; text is UTF-8. Raises OSError."""
+    with written_whole(path, durable=durable) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
 def digest(path: Path) -> str:
-    """SHA-256 of a file's content. Raises OSError."""
+    """SHA-256 of a file's content, of a folder that of its files' names and contents. Raises
+    OSError."""
+    if path.is_dir():
+        files = sorted(one for one in path.rglob("*") if one.is_file())
+        lines = [f"{digest(one)}  {one.relative_to(path)}\n" for one in files]
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

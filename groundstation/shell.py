@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import resource
 import shlex
@@ -10,18 +11,22 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from groundstation.documents import open_regular
 from groundstation.errors import BadInputError, GroundStationError
+from groundstation.paths import write_whole
 
 LOG, SCRIPT = "log.txt", "commands.sh"
 PROGRAMS = {
     "groundstation": (str(Path(sys.executable).with_name("groundstation")),),
     "python": (sys.executable,),
 }
+LAST_WORDS_MOST = 1 << 16
+"""Bytes of a command's output in which its last line is looked for."""
 END_S = 40.0
 """A program that was asked to end is given so long; a daemon finishes its recording."""
 _SCRIPT_HEAD = """#!/bin/sh
@@ -51,6 +56,9 @@ class Shell:
     copied all the same. say: is given every command as it starts. by: whose commands they are, for
     the script.
 
+    The script is written anew, so that it holds nothing that came with somebody else's folder. Who
+    goes on says with ``keep`` what was run before.
+
     Programs run in process groups of their own: Ctrl-C is told them once, by us, and in order.
     """
 
@@ -62,27 +70,26 @@ class Shell:
         by: str = "groundstation thesis",
         goes_on: bool = False,
     ) -> None:
-        if goes_on and (folder / SCRIPT).is_file():
-            inputs = {}
-        elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        begun = goes_on and (folder / SCRIPT).is_file()
+        if not begun and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise BadInputError(
                 f"{folder}: exists already and is not an empty folder; name another one with -o"
             )
         self.folder = folder.absolute()
         self._say = say
+        self._script = _head(inputs, by) if inputs else ""
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name, text in inputs.items():
-                if text is not None:
-                    (folder / name).write_text(text, encoding="utf-8")
-            if inputs:
-                copied = " ".join(f'"$here"/{name}' for name in inputs)
-                path = shlex.quote(str(Path(sys.executable).parent))
-                head = _SCRIPT_HEAD.format(script=SCRIPT, inputs=copied, path=path, by=by)
-                (folder / SCRIPT).write_text(head, encoding="utf-8")
+                if text is not None and not begun:
+                    write_whole(folder / name, text)
+            write_whole(folder / SCRIPT, self._script)
+            append = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
+            self._log = open(open_regular(folder / LOG, append), "ab")  # noqa: SIM115 - it stays
         except OSError as error:
-            raise BadInputError(f"{folder}: cannot be written: {error.strerror}") from error
-        self._log = (folder / LOG).open("ab")
+            link = error.errno == errno.ELOOP
+            why = f"{LOG} is a link to another file; remove it" if link else error.strerror
+            raise BadInputError(f"{folder}: cannot be written: {why}") from error
         own = {k: v for k, v in os.environ.items() if not k.startswith("GROUNDSTATION_")}
         self._environment = {**own, "NO_COLOR": "1"}
         self._began_s = time.monotonic()
@@ -106,7 +113,7 @@ class Shell:
         what the command said last where it fails.
         """
         line = _shown(words) + (f" > {into}" if into else "")
-        mark = self._tell(line)
+        mark, before_s = self._tell(line), _children_s()
         with contextlib.ExitStack() as closing:
             out: IO[bytes] = self._log
             if into is not None:
@@ -126,7 +133,13 @@ class Shell:
                 f"'{_shown(words)}' failed ({status}): {self._last_words(mark)};"
                 f" all that was said is in {self.folder / LOG}"
             )
+        self._log.write(f"# {_children_s() - before_s:.1f} s of processor time\n".encode())
+        self._log.flush()
         self._note(line)
+
+    def keep(self, *words: str) -> None:
+        """Put a command into the script that was run before, and is not run again."""
+        self._note(_shown(words))
 
     def files(self, pattern: str) -> list[Path]:
         """The folder's files that a pattern names, in order."""
@@ -165,11 +178,13 @@ class Shell:
         return self._log.tell()
 
     def _note(self, line: str) -> None:
-        with (self.folder / SCRIPT).open("a", encoding="utf-8") as file:
-            file.write(f"{line}\n")
+        self._script += f"{line}\n"
+        write_whole(self.folder / SCRIPT, self._script)
 
     def _last_words(self, mark: int) -> str:
-        text = (self.folder / LOG).read_bytes()[mark:].decode(errors="replace")
+        with (self.folder / LOG).open("rb") as log:
+            log.seek(max(mark, log.seek(0, os.SEEK_END) - LAST_WORDS_MOST))
+            text = log.read().decode(errors="replace")
         lines = [line for line in text.splitlines() if line.strip()]
         return lines[-1].removeprefix("groundstation: ") if lines else "nothing was said"
 
@@ -199,6 +214,12 @@ class _Interruptions:
             signal.signal(*self._before.popitem())
         while self._came:
             signal.raise_signal(self._came.pop())
+
+
+def _head(inputs: Iterable[str], by: str) -> str:
+    copied = " ".join(f'"$here"/{name}' for name in inputs)
+    path = shlex.quote(str(Path(sys.executable).parent))
+    return _SCRIPT_HEAD.format(script=SCRIPT, inputs=copied, path=path, by=by)
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:

@@ -24,9 +24,14 @@ keep_freed()  # as the command itself does
 
 # What tests consent to is not remembered for whoever runs them, and tests run effects of their own.
 os.environ.update(
-    XDG_CONFIG_HOME=tempfile.mkdtemp(prefix="groundstation-tests-"), GROUNDSTATION_TRUST_EFFECTS="1"
+    {
+        name: tempfile.mkdtemp(prefix="groundstation-tests-")
+        for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME")
+    },
+    GROUNDSTATION_TRUST_EFFECTS="1",
 )
-atexit.register(shutil.rmtree, os.environ["XDG_CONFIG_HOME"], ignore_errors=True)
+for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME"):
+    atexit.register(shutil.rmtree, os.environ[name], ignore_errors=True)
 
 # Under nohup, and in the background of a script, every program started here would keep on ignoring
 # what the tests send it.

@@ -17,7 +17,7 @@ def _clear(p: Any) -> None:
 
 
 def _present(p: Any) -> Values | None:
-    return None if p["ideal_attitude"] else {"strength": 1.0}
+    return None if p["ideal_attitude"] or p["flow_aided"] else {"strength": 1.0}
 
 
 EFFECT = Effect(

@@ -13,6 +13,10 @@ from firmware_sim.compiled import inner
 from firmware_sim.effects.effect import POSITIVE, Effect, G, Values, each, reads
 from firmware_sim.layout import Record
 
+FLOW_TIME_S = 0.81
+"""That of the filter behind a Flow deck, 0.5 m above the ground, whose poles are 0.95 +- 0.78i a
+second."""
+
 
 @inner
 def tilt_taken(p: Record, s: Record, seconds: float) -> Any:
@@ -40,6 +44,12 @@ def _apply(p: Any, values: Values) -> None:
         p["ideal_attitude"] = 1
 
 
+def _present(p: Any) -> Values | None:
+    if p["flow_aided"] and not p["ideal_attitude"]:
+        return {"strength": 1.0, "time_s": FLOW_TIME_S}
+    return reads(aided_strength="strength", aided_time="time_s")(p) if p["aided_strength"] else None
+
+
 def _clear(p: Any) -> None:
     p["aided_strength"] = 0.0
 
@@ -48,9 +58,7 @@ EFFECT = Effect(
     parameters={"strength": (1.0, ""), "time_s": (0.4, "s")},
     apply=_apply,
     clear=_clear,
-    present=lambda p: (
-        reads(aided_strength="strength", aided_time="time_s")(p) if p["aided_strength"] else None
-    ),
+    present=_present,
     draw=each(strength=(0.6, 1.2), time_s=(0.25, 0.6)),
     limits={"strength": POSITIVE, "time_s": (0.05, 10.0)},
 )

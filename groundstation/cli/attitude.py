@@ -15,6 +15,8 @@ from groundstation.cli.model_files import (
     open_one,
     require_new,
     say_written,
+    tell_rejected,
+    with_reasons,
     write_table,
 )
 from groundstation.cli.terminal import show, show_json
@@ -56,10 +58,9 @@ def attitude(
         if path is not None:
             require_new(path)
     given = _noise(noise)
-    try:
-        fused = fuse(open_one(recording).samples, weight, given)
-    except BadInputError as error:
-        raise BadInputError(f"{recording}: {error}") from error
+    opened = open_one(recording)
+    with with_reasons([opened], f"{recording}: "):
+        fused = fuse(opened.samples, weight, given)
     moved = {name: v for name, v in fused.moved_deg().items() if name != "accelerometer"}
     if output is not None:
         drawn = {name: np.degrees(fused.angles[name]) for name in moved}
@@ -78,15 +79,22 @@ def attitude(
         "noise": [used.angle, used.bias, used.accelerometer],
         "end_minus_start_deg": moved,
     }
+    tell_rejected([opened])
     if as_json:
         show_json(report)
         return
-    show("end minus start, deg      roll     pitch       yaw")
-    for name, values in moved.items():
-        show(f"  {name:<18}" + "".join(f"{value:10.2f}" for value in values))
+    _show_moved(moved)
     if bias is None:
         show("no rest at the start: the gyro's offset was not subtracted from the Kalman input")
     say_written(output, html)
+
+
+def _show_moved(moved: dict[str, list[float]]) -> None:
+    show("end minus start, deg      roll     pitch       yaw")
+    for name, values in moved.items():
+        known = "".join(f"{value:10.2f}" for value in values)
+        there = any(math.isfinite(value) for value in values)
+        show(f"  {name:<18}" + (known if there else "    not in the file"))
 
 
 def _noise(text: str) -> KalmanNoise:
@@ -117,7 +125,9 @@ def axes(
 
     if html is not None:
         require_new(html)
-    samples = open_one(recording).samples
+    opened = open_one(recording)
+    tell_rejected([opened])
+    samples = opened.samples
     check = check_axes(samples)
     apart = contradictions(samples)
     if html is not None:

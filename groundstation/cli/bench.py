@@ -6,19 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation import GroundStationError, Pilot, socket_path
+from groundstation import Pilot, socket_path
 from groundstation.cli.command_group import Commands
 from groundstation.cli.commanding import (
     await_connection,
-    begin_recording,
-    end_recording,
-    patient,
     require_consent,
     require_ended,
     require_ready,
 )
+from groundstation.cli.craft_flight import Changes, commanded, fly_recorded, stops_begun
 from groundstation.cli.model_files import AS_JSON
-from groundstation.cli.pid_manoeuvres import SetpointClock, stop_motors
+from groundstation.cli.motors_off import stopped_after
+from groundstation.cli.setpoint_clock import SetpointClock
 from groundstation.cli.terminal import say, show, show_json
 
 if TYPE_CHECKING:
@@ -94,29 +93,24 @@ def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:
     """Everything that touches the craft; what happened."""
     path = socket_path()
     await_connection(path)
-    with Pilot(path, CLIENT) as pilot:
+    with commanded(CLIENT, stops_begun(path)) as pilot:
         uri = pilot.lease["uri"]
         at_rest = require_ready(pilot, needs_battery=True)
         say(WARNING.format(high=profile.high, seconds=profile.seconds), error=True)
-        if not yes and not uri.startswith("udp://"):
+        if not (yes or pilot.lease["software"]):
             require_consent(pilot, f"{uri}: fixed, and clear of people?", "not driven")
-        recording = begin_recording(path)
-        aborted, motors = "an unforeseen error", ""
-        try:
-            pilot.mark("bench motor begins", profile=profile.as_dict())
-            say(f"{uri}: Ctrl-C stops", error=True)
-            aborted = _follow(pilot, profile, at_rest)
-        except KeyboardInterrupt as stop:
-            aborted = str(stop) or "Ctrl-C"
-        except GroundStationError as error:
-            aborted = str(error)
-        finally:
-            with patient():
-                motors = stop_motors(pilot)
+        say(f"{uri}: Ctrl-C stops", error=True)
+        report = fly_recorded(
+            pilot,
+            Changes({}, {}),
+            lambda signals: stopped_after(lambda: _follow(pilot, profile, at_rest), pilot, signals),
+            f"{CLIENT} begins",
+            profile=profile.as_dict(),
+        )
     return {
-        "aborted": aborted,
-        "motors": motors,
-        "recording": end_recording(path, recording, aborted),
+        "aborted": report.ended.why,
+        "motors": report.ended.motors,
+        "recording": report.recording,
         "profile": profile.as_dict(),
     }
 

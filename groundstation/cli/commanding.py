@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from groundstation import BadInputError, GroundStationError, Pilot
 from groundstation.cli.terminal import require_yes, say
+from groundstation.links.supervisor import NOT_ARMED
 from groundstation.service.client import ask
-from groundstation.service.motor_stop import BY_OPERATOR
+from groundstation.service.motor_stop import BY_OPERATOR, LANDED_BY_OPERATOR
 
 LEAST_REST_V = 3.5
 """Battery at rest below which nothing begins."""
 NO_BATTERY = "the craft does not tell its battery's voltage"
+ACQUIRE = "; acquire a lease"
+"""How the daemon ends what it says to a client whose lease is over."""
 KEEP_S = 0.4
 """The least lease is 1 s."""
 CONNECT_S, TELEMETRY_S = 20.0, 5.0
 """How long a daemon that has just started is waited for."""
+LOOK_S, STAND_MORE_S = 0.05, 0.5
+"""How often a craft on the ground is looked at, and how long a single jolt may delay it."""
 
 
 def await_connection(path: Path) -> None:
@@ -40,9 +43,12 @@ def await_connection(path: Path) -> None:
         time.sleep(0.2)
 
 
-def require_ready(pilot: Pilot, *, needs_battery: bool) -> dict[str, Any]:
+def require_ready(
+    pilot: Pilot, *, needs_battery: bool, may_be_disarmed: bool = False
+) -> dict[str, Any]:
     """The telemetry of a craft that may begin; nothing starts its motors. needs_battery: whether a
     craft that does not tell its voltage, as software builds of the firmware, may not.
+    may_be_disarmed: arming is waited for later; a Brushless disarms itself after each flight.
 
     Raises GroundStationError where none comes in, the battery is low or the craft says that it
     cannot fly.
@@ -63,7 +69,7 @@ def require_ready(pilot: Pilot, *, needs_battery: bool) -> dict[str, Any]:
         raise GroundStationError(
             f"no telemetry is coming in (link {answer['link_state']}); nothing was flown"
         )
-    if answer["hindrance"]:
+    if answer["hindrance"] and not (may_be_disarmed and answer["hindrance"] == NOT_ARMED):
         raise GroundStationError(f"{answer['hindrance']}; nothing was flown")
     battery = telemetry["battery_v"]
     if battery is None:
@@ -84,6 +90,16 @@ def require_height(pilot: Pilot, what: str = "") -> None:
         raise BadInputError(
             f"{what}{pilot.lease['uri']} holds no height by itself; it needs today's firmware and a"
             " Flow or Z-ranger deck, or a positioning system that has told it where it is"
+        )
+
+
+def require_place(pilot: Pilot) -> None:
+    """Raises BadInputError for a craft that does not know its velocity over ground."""
+    if not pilot.lease["holds_place"]:
+        raise BadInputError(
+            f"{pilot.lease['uri']} does not know its velocity over ground, so nothing would keep it"
+            " in its place; it needs a Flow deck, or a positioning system that has told it where"
+            " it is"
         )
 
 
@@ -116,11 +132,12 @@ def require_consent(pilot: Pilot, question: str, otherwise: str) -> None:
 def require_ended(report: Mapping[str, Any], what: str) -> None:
     """Raises GroundStationError for a report of what was cut short: why, how the motors are, and
     where the recording is."""
-    if report["aborted"] == BY_OPERATOR:
-        raise GroundStationError(
-            f"Stopped by the operator, {report['motors'].replace('are off', 'off')};"
-            f" the recording is {report['recording']}"
-        )
+    for words, by_operator in (("Stopped", BY_OPERATOR), ("Landed", LANDED_BY_OPERATOR)):
+        if report["aborted"] == by_operator:
+            raise GroundStationError(
+                f"{words} by the operator, {report['motors'].replace('are off', 'off')};"
+                f" the recording is {report['recording']}"
+            )
     if report["aborted"]:
         raise GroundStationError(
             f"{what} aborted: {report['aborted']}; {report['motors']}, the recording is"
@@ -128,25 +145,23 @@ def require_ended(report: Mapping[str, Any], what: str) -> None:
         )
 
 
-@contextlib.contextmanager
-def patient() -> Iterator[None]:
-    """One Ctrl-C or SIGTERM more does not keep the motors from being stopped, a second one does:
-    then the end of the lease stops them."""
-    asked = 0
+def why_aborted(error: GroundStationError) -> str:
+    """What a flight that ended so is told to have been cut short by."""
+    return str(error).removesuffix(ACQUIRE)
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked += 1
-        if asked > 1:
-            raise KeyboardInterrupt
-        say("the motors are being stopped; Ctrl-C again leaves it to the daemon", error=True)
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def require_standing(pilot: Pilot) -> None:
+    """Watch a craft for some seconds. Raises GroundStationError where it does not stand still,
+    level and, where it knows its height, on the floor."""
+    from groundstation.control.standing import STAND_S, Standing
+
+    standing = Standing()
+    deadline = time.monotonic() + STAND_S + STAND_MORE_S
+    while not standing.look(time.monotonic(), pilot.setpoint(0.0, 0.0, 0.0, 0)):
+        if time.monotonic() > deadline:
+            why = standing.trouble or "it has moved"
+            raise GroundStationError(f"the craft does not stand: {why}; nothing was flown")
+        time.sleep(LOOK_S)
 
 
 def begin_recording(path: Path) -> dict[str, Any]:

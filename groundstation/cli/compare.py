@@ -58,6 +58,7 @@ def compare(
 
     from groundstation import compare as judge
     from groundstation.discrepancy.report_json import CompareReport, gap_of
+    from groundstation.dynamics.suitability import suitability, verdict
 
     if html is not None:
         require_new(html)
@@ -77,6 +78,7 @@ def compare(
         report = CompareReport(
             *(found.places, gap_of(found, (found.further(), None)), names, model),
             turning,
+            verdict(suitability(loaded)),
         )
         if html is not None:
             from groundstation.discrepancy.report_html import compare_page
@@ -87,9 +89,16 @@ def compare(
         show_json(msgspec.json.decode(msgspec.json.encode(report)))
         return
     tell_found(f"gap over all channels {report.gap.validation.before:.2f} (1.00: noise alone)")
+    say_good_for(report.good_for)
     say_gap(report.gap)
     say_where(report.where)
     say_written(html)
+
+
+def say_good_for(verdict: str) -> None:
+    """What the model is good for, where a fit of it is known."""
+    if verdict:
+        show(f"the model: {verdict[:1].lower()}{verdict[1:]}")
 
 
 def say_gap(gap: Gap) -> None:

@@ -97,6 +97,9 @@ def status_rows(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
     else:
         holder = f", {command['client']} commands" if command["client"] else ""
         yield "command", f"{command['uri']}  {command['state']}{holder}"
+        if command["stored"]:
+            stored = ", ".join(f"{name} {value:g}" for name, value in command["stored"].items())
+            yield "stored", stored
     yield "stream", f"{stream['clients']} clients, {stream['dropped']} dropped"
     yield (
         "daemon",

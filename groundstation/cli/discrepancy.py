@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from groundstation.cli.compare import RECORDINGS, say_gap, say_where
+from groundstation.cli.compare import RECORDINGS, say_gap, say_good_for, say_where
 from groundstation.cli.flights import (
     MODEL,
     VEHICLE,
     model_for,
     read_flights,
     require_apart,
+    with_filter,
 )
 from groundstation.cli.model_files import HTML, require_new, say_written
 from groundstation.cli.progress import shown, tell_found
@@ -94,12 +95,13 @@ def discrepancy(
     with shown("reading") as progress:
         fitted, short = read_flights(recordings, loaded, vehicle)
         held, held_short = read_flights(validate or [], loaded, vehicle)
+        loaded, given = with_filter(loaded, [*fitted, *held])
         found = find_discrepancy(
             [one.runs for one in fitted],
             loaded,
             [one.runs for one in held],
             own=own,
-            left_out=[*short, *held_short],
+            left_out=[*short, *held_short, *given],
             progress=lambda what, share: progress(share, what),
         )
         report = discrepancy_report(
@@ -196,6 +198,7 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
     show(verdict)
     show(found_in_words(report))
     show(f"next: {next_in_words(report, written)}")
+    say_good_for(report.good_for)
     if report.explained is not None:
         show(report.explained.words(report.disturbance))
     found = [f"changed: {change.words}" for change in report.base_changes]

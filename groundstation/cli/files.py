@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation import BadInputError
-from groundstation.cli.model_files import AS_JSON, require_new
+from groundstation.cli.model_files import AS_JSON, require_new, write_new
 from groundstation.cli.progress import shown, spoken, tell_found
 from groundstation.cli.recordings import list_folder
 from groundstation.cli.terminal import show, show_json
@@ -40,6 +40,22 @@ COLUMNS = typer.Option(
 )
 
 
+ONLY = typer.Option(
+    None,
+    "--only",
+    metavar="COLUMN=VALUE",
+    help="The rows of one craft or sensor of a table that holds several; of a bag topic=/NAME.",
+)
+RATE = typer.Option(
+    None,
+    "--rate",
+    metavar="HZ",
+    min=0.1,
+    max=100_000.0,
+    help="Rows a second of a table that has no time column.",
+)
+
+
 def add_commands(app: typer.Typer) -> None:
     app.command("inspect")(inspect)
     app.command("convert")(convert)
@@ -51,6 +67,8 @@ def inspect(
         help="A recording, another program's log, or a folder of recordings, which is listed."
     ),
     columns: str | None = COLUMNS,
+    only: str | None = ONLY,
+    rate_hz: float | None = RATE,
     as_json: bool = AS_JSON,
 ) -> None:
     """What is in a recording, its quality and its gaps.
@@ -65,7 +83,7 @@ def inspect(
             raise BadInputError(f"{file}: is a folder; --columns is for one file")
         list_folder(file, as_json)
         return
-    recording = _open(file, columns)
+    recording = _open(file, columns, only, rate_hz)
     report = inspect_recording(recording)
     if as_json:
         show_json(report)
@@ -74,12 +92,21 @@ def inspect(
     _raise_damage(recording)
     if not recording.being_written:
         _require_samples(recording)
+        if report["verdict"].startswith("bad"):
+            raise RecordingError(f"{recording.path}: bad, for the reason above")
 
 
 def convert(
     source: Path = typer.Argument(metavar="IN", help="Any readable recording."),
-    target: Path = typer.Argument(metavar="OUT", help="A new .mcap, .csv, .parquet or .rrd file."),
+    target: Path | None = typer.Argument(
+        None, metavar="OUT", help="A new .mcap, .csv, .parquet or .rrd file; not needed with --map."
+    ),
     columns: str | None = COLUMNS,
+    ask_map: bool = typer.Option(
+        False, "--map", help="Ask in the terminal which column is what, and write a column map."
+    ),
+    only: str | None = ONLY,
+    rate_hz: float | None = RATE,
     list_columns: bool = typer.Option(
         False, "--list-columns", is_eager=True, callback=_list_columns, help="Name the known maps."
     ),
@@ -105,21 +132,25 @@ def convert(
     """
     from groundstation.recording.formats import writer_of
 
-    writer = writer_of(target, physical=physical, ros2_hz=ros2)
-    require_new(target)
-    recording = _open(source, columns)
+    if target is None and not ask_map:
+        raise typer.BadParameter("give the new file's name", param_hint="OUT")
+    if target is not None:
+        writer = writer_of(target, physical=physical, ros2_hz=ros2)
+        require_new(target)
+    if ask_map:
+        columns = _new_map(source, columns, as_json=as_json)
+    if target is None:
+        return
+    recording = _open(source, columns, only, rate_hz)
     if not recording.tables:
         _require_samples(recording)
     if supply_v is not None:
         _give_supply(recording, supply_v)
     with shown(f"writing {target}"):
         writer(recording, target)
-    if as_json:
-        show_json({"file": str(target), "samples": len(recording.samples)})
-    else:
-        show(f"{target}: {len(recording.samples)} samples")
+    _tell_written(recording, target, as_json)
     if target.suffix.lower() == ".csv" and not physical:
-        _warn_of_zeros(recording)
+        _warn_of_packets(recording)
     _raise_damage(recording)
 
 
@@ -155,6 +186,30 @@ def recover(
         )
 
 
+def _tell_written(recording: Recording, target: Path, as_json: bool) -> None:
+    if not as_json:
+        show(f"{target}: {len(recording.samples)} samples")
+        return
+    from groundstation.recording.channels import CHANNELS
+
+    names = [one.name for one in CHANNELS if one.is_in(recording.samples)]
+    show_json({"file": str(target), "samples": len(recording.samples), "channels": names})
+
+
+def _new_map(source: Path, columns: str | None, *, as_json: bool) -> str:
+    """Where the column map is that a dialogue has made, which is told with the command for it."""
+    from groundstation.cli.column_questions import ask_map, map_path_of
+    from groundstation.recording.map_text import command_with
+
+    if columns is not None or as_json:
+        other = "--json" if as_json else "--columns"
+        raise BadInputError(f"--map asks for the columns in the terminal: leave {other} out")
+    path = map_path_of(source)
+    write_new(path, ask_map(source, path))
+    show(f"{path}: written. It is used by: {command_with(source, path)}")
+    return str(path)
+
+
 def _give_supply(recording: Recording, supply_v: float) -> None:
     """Raises BadInputError where the craft told its battery: a measurement is not replaced."""
     import numpy as np
@@ -168,16 +223,21 @@ def _give_supply(recording: Recording, supply_v: float) -> None:
     recording.metadata["supply"] = {"given_v": f"{supply_v:g}"}
 
 
-def _open(path: Path, columns: str | None) -> Recording:
+def _open(
+    path: Path, columns: str | None, only: str | None = None, rate_hz: float | None = None
+) -> Recording:
     from groundstation import open_recording
+    from groundstation.recording.rows import rows_of
 
+    rows = rows_of(only, rate_hz)
     with shown(f"reading {path}"):
-        return open_recording(path, raw=True, column_map=columns)
+        return open_recording(path, raw=True, column_map=columns, rows=rows)
 
 
-def _warn_of_zeros(recording: Recording) -> None:
+def _warn_of_packets(recording: Recording) -> None:
     """The packet has a place for every channel, and no value that means 'not known'."""
     from groundstation.recording.channels import CHANNELS, UNUSUAL
+    from groundstation.recording.column_map import UNCLEAR_METADATA
 
     carried = [channel for channel in CHANNELS if channel.field not in UNUSUAL]
     missing = [channel.name for channel in carried if not channel.is_in(recording.samples)]
@@ -187,6 +247,8 @@ def _warn_of_zeros(recording: Recording) -> None:
             "--physical leaves them out",
             error=True,
         )
+    if duty := recording.metadata.get(UNCLEAR_METADATA, {}).get("duty"):
+        show(f"groundstation: {recording.path}: {duty}", error=True)
 
 
 def _require_samples(recording: Recording) -> None:
@@ -242,8 +304,10 @@ def _print_report(report: dict[str, Any]) -> None:
         ("", f"{gap['duration_s'] * 1e3:.1f} ms at {gap['start_s']:.3f} s")
         for gap in report["gaps"][:GAPS_SHOWN]
     ]
+    facts += [("note", text) for text in report["notes"]]
     facts += [("table", f"{name}: {rows} rows") for name, rows in report["tables"].items()]
-    facts += [(each["link"], f"{each['kind']}: {each['text']}") for each in report["marks"]]
+    for mark in report["marks"]:
+        facts.append((mark["link"] or mark["kind"], f"{mark['kind']}: {mark['text']}"))
     for name, text in facts:
         line = Text(f"{printable(name):<14}", "bold").append(printable(text), "not bold")
         console.print(line, highlight=False, soft_wrap=True)

@@ -27,6 +27,7 @@ from groundstation.cli.model_files import (
     require_new,
     runs_in,
     say_written,
+    with_reasons,
 )
 from groundstation.cli.progress import shown, tell_found
 from groundstation.cli.terminal import show, show_json
@@ -222,7 +223,7 @@ def _carry_out(
     from groundstation import load_model, parse_selection
     from groundstation.dynamics.model import model_vehicle
     from groundstation.recording.craft_family import vehicle_of
-    from groundstation.recording.plausibility import require_possible
+    from groundstation.recording.soundness import rejected
 
     for path in (files.output, files.html):
         if path is not None:
@@ -231,18 +232,39 @@ def _carry_out(
     selection = parse_selection(tuple(segment or ()))
     with shown("reading") as progress:
         fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
-        for one in (*fit_on, *held):
-            require_possible(one)
         given = load_model(model) if model is not None else None
         before = model_before(given, vehicle_of([*fit_on, *held], vehicle, given), mass_kg)
-        task = _Task(read(fit_on), read(held), before, model_vehicle(before), selection)
-        found = identify(task, progress)
+        with with_reasons([*fit_on, *held]):
+            task = _Task(read(fit_on), read(held), before, model_vehicle(before), selection)
+            found = identify(task, progress)
         rows = sum(map(len, task.runs))
         lost = rows - sum(len(one.samples) for one in fit_on)
         if lost > 0:
             found.account["warnings"].append(f"{lost} of {rows} rows were lost, and bridged")
+        taken = [line for one in (*fit_on, *held) for line in rejected(one)]
+        found.account["warnings"] = [*taken, *found.account["warnings"]]
         found.account["warnings"] += _doubts(found, task, [*fit_on, *held])
-        _finish(found, files, progress)
+        _finish(_with_curve(found, task, fit_on), files, progress)
+
+
+def _with_curve(found: Identified, task: _Task, recordings: Sequence[Recording]) -> Identified:
+    """The same with the thrust curve of the craft's firmware, where a body's flights show it."""
+    from dataclasses import replace
+
+    import msgspec
+
+    from groundstation.control.firmwares import firmware_of_vehicle
+    from groundstation.control.thrust_curve import against, flown_curve
+
+    if found.account["what"] != "body" or task.vehicle.firmware != "2.x":
+        return found
+    firmware = firmware_of_vehicle(task.vehicle)
+    curve = flown_curve(recordings, firmware)
+    if curve is None:
+        return found
+    found.account["thrust_curve"] = against(curve, firmware, found.model)
+    model = msgspec.structs.replace(found.model, firmware_curve=curve)
+    return replace(found, model=model)
 
 
 def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> list[str]:
@@ -255,6 +277,7 @@ def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> 
     of_recordings = [
         f"{one.path.name}: {line}" for one in recordings for line in contradictions(one.samples)
     ]
+    found.account["contradictions"] = of_recordings
     doubts = require_results(found.account, task.before, task.vehicle, of_recordings)
     slow = [line for one in recordings for line in renewal_notes(one.samples, one.path.name)]
     return [*of_recordings, *doubts, *(slow if found.account["what"] == "body" else [])]
@@ -282,7 +305,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
     if files.as_json:
         show_json(json.loads(files.output.read_bytes()))
     else:
-        _print_account(account, files.output)
+        _print_account(whole, account, files.output)
         for line in origin_notes(whole):
             show(f"  in the file: {line}")
         say_written(files.html)
@@ -299,13 +322,15 @@ def _fingerprint(path: Path) -> dict[str, str]:
     return {"file": path.name, "sha256": digest(path)}
 
 
-def _print_account(account: dict[str, Any], output: Path) -> None:
+def _print_account(whole: Model, account: dict[str, Any], output: Path) -> None:
     from groundstation.identification.advice import good_for, next_of
     from groundstation.identification.division import LAST
 
     show(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
-    show(f"  {good_for(account)[0]}")
+    show(f"  {good_for(whole, account)[0]}")
     show(f"  next: {next_of(account)}")
+    if "thrust_curve" in account:
+        show(f"  {account['thrust_curve']}")
     if isinstance(account["held_out"], str) and account["held_out"] != LAST:
         show(f"  held out: {account['held_out']} of all rows, so that every axis is fitted")
     estimates = account.get("estimates")

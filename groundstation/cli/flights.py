@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation import BadInputError
-from groundstation.cli.model_files import fitted_model, open_one
+from groundstation.cli.model_files import fitted_model, open_one, with_reasons
 from groundstation.paths import digest
 
 if TYPE_CHECKING:
-    from groundstation import Model, Run
+    from groundstation import Model, Recording, Run
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
 VEHICLE = typer.Option(
@@ -43,10 +43,12 @@ def model_for(source: str, vehicle: str | None) -> Model:
 
 @dataclass(frozen=True, slots=True)
 class Flights:
-    """One recording: its flights, lost rows as NaN."""
+    """One recording: its flights, lost rows as NaN. is_aided: its angles are those of a filter that
+    is told how fast the craft moves."""
 
     name: str
     runs: list[Run]
+    is_aided: bool = False
 
 
 def read_flights(
@@ -55,25 +57,65 @@ def read_flights(
     """Each recording, opened once; those in which nothing lasts 5 s have no runs, and are told in
     words.
 
-    Raises BadInputError where a recording holds what cannot be, or says that it is of another
-    vehicle than the model's, unless ``vehicle`` says the contrary, and where nothing lasts 5 s in
-    any.
+    Raises BadInputError where a recording says that it is of another vehicle than the model's,
+    unless ``vehicle`` says the contrary, and where nothing lasts 5 s in any.
     """
     from groundstation.identification.recordings import flights_of_each, renewal_notes
     from groundstation.recording.craft_family import require_craft_of
-    from groundstation.recording.plausibility import require_possible
+    from groundstation.recording.soundness import rejected
 
     recordings = [open_one(path) for path in paths]
-    for one in recordings:
-        require_possible(one)
     if vehicle is None:
         for one in recordings:
             require_craft_of(one, model)
-    runs, left_out = flights_of_each((one.samples, one.path.name) for one in recordings)
+    with with_reasons(recordings):
+        runs, left_out = flights_of_each((one.samples, one.path.name) for one in recordings)
+    left_out = [*(line for one in recordings for line in rejected(one)), *left_out]
     left_out += [line for one in recordings for line in renewal_notes(one.samples, one.path.name)]
     return [
-        Flights(one.path.name, its) for one, its in zip(recordings, runs, strict=True)
+        Flights(one.path.name, its, _is_aided(one))
+        for one, its in zip(recordings, runs, strict=True)
     ], left_out
+
+
+MOVES_M_S = 0.01
+"""Standard deviation of a velocity that something measures; it stays 0 where nothing does."""
+
+
+def _is_aided(recording: Recording) -> bool:
+    """By the velocity that the firmware's filter said to a daemon."""
+    import numpy as np
+
+    from groundstation.links.craft_place import TABLE
+
+    table = recording.tables.get(TABLE)
+    velocity = None if table is None else table.columns.get("stateEstimate.vx")
+    return velocity is not None and float(np.nanstd(velocity.astype(float))) > MOVES_M_S
+
+
+FILTER = "position_aided_lean"
+STRENGTH, TIME_S = 1.0, 0.81
+"""Of the firmware's Kalman filter behind a Flow deck, 0.5 m above the floor: all that pushes the
+craft across its axis is taken for a lean, by a filter whose poles are 0.95 +- 0.78i a second."""
+
+
+def with_filter(model: Model, flights: Sequence[Flights]) -> tuple[Model, list[str]]:
+    """The given model of a craft of today with what its own filter makes of the angles, where a
+    flight shows that it flew; it is fitted along, and no name is looked for in it. In words."""
+    import msgspec
+
+    from groundstation.dynamics.model import EffectTerm, Estimate, model_vehicle
+
+    known = {term.name for term in model.effects}
+    is_told = FILTER in known or "attitude_filter_lean" in known
+    if is_told or model_vehicle(model).firmware != "2.x" or not all(f.is_aided for f in flights):
+        return model, []
+    term = EffectTerm(
+        FILTER, {"strength": Estimate(STRENGTH), "time_s": Estimate(TIME_S, unit="s")}
+    )
+    said = "the angles are those of the craft's own filter, which takes drag for a lean: that is"
+    said += f" in the given model ({FILTER}), not among what is looked for"
+    return msgspec.structs.replace(model, effects=(*model.effects, term)), [said]
 
 
 def require_apart(recordings: Sequence[Path], validate: Sequence[Path]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,10 +13,11 @@ import typer
 from groundstation import BadInputError, GroundStationError
 from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
 from groundstation.cli.progress import own_terminal, shown, tell_found
+from groundstation.cli.stored_gains import STORE
 from groundstation.cli.terminal import require_yes, show, show_json
 
 if TYPE_CHECKING:
-    from groundstation.cli.learn_flights import Place
+    from groundstation.cli.learn_flights import DaemonPlace, Place
     from groundstation.learn.journal import Journal, Task
     from groundstation.learn.manoeuvres import Limits
     from groundstation.shell import Shell
@@ -38,8 +40,8 @@ def learn(
     link: str = typer.Option(
         "daemon",
         "--link",
-        help="daemon (the running daemon's craft), or software:VEHICLE or software:FILE.toml, a"
-        " software craft in fast time.",
+        help="daemon (the running daemon's craft), or software:VEHICLE, software:MODEL.json (an"
+        " identified one) or software:FILE.toml, a software craft in fast time.",
     ),
     output: Path = typer.Option(
         Path("learnt"), "-o", "--output", help="Its folder; one that was begun is gone on with."
@@ -51,16 +53,17 @@ def learn(
     hide: int | None = typer.Option(
         None, "--hide", min=0, max=10**6, help="Hide effects by this seed; told at the end."
     ),
-    undo: bool = typer.Option(False, "--undo", help="Only put the former gains back."),
+    store: bool = STORE,
+    undo: bool = typer.Option(False, "--undo", help="Put former gains back, clear stored ones."),
     yes: bool = typer.Option(False, "--yes", help="Do not ask before a real craft flies."),
     as_json: bool = AS_JSON,
 ) -> None:
     """Learn a craft: fly what is unknown, name what a model lacks, prove it, design gains, fly
     them.
 
-    A real craft is that of a running daemon; between its flights, which follow computing of
-    minutes, it takes off by itself. The folder is the state: whatever ends it, the same command
-    goes on. Ctrl-C stops the motors: a craft in the air drops.
+    A real craft is the running daemon's. It takes off several times by itself, each time after a
+    countdown, with minutes of computing in between. Ctrl-C lands it, a second one stops its motors;
+    Stop ends this program. Run the same command again to resume.
 
     Example: [bold]groundstation learn --link software:crazyflie21 --hide 1[/bold]
     """
@@ -81,18 +84,21 @@ def learn(
         _undo(journal, output)
         return
     task = _task(link, limits, seed, batteries, hide)
-    _lead(_begun(journal, task, output), output, limits, yes, as_json)
+    _lead(_begun(journal, task, output), output, limits, yes, store, as_json)
 
 
-def _lead(journal: Journal, output: Path, limits: Limits, yes: bool, as_json: bool) -> None:
+def _lead(
+    journal: Journal, output: Path, limits: Limits, yes: bool, store: bool, as_json: bool
+) -> None:
     """From wherever the journal is to the report; the folder keeps it, whatever ends this."""
-    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.cli.learn_flights import SOFTWARE, FastPlace
     from groundstation.shell import Shell
 
-    link, height = journal.task.link, journal.task.height_m
+    link = journal.task.link
     inputs: dict[str, str | None] = {"flight*.mcap": None, "proof.mcap": None}
     if link.startswith(SOFTWARE):
         inputs = {CRAFT: _craft_text(link), **inputs}
+        FastPlace(link.partition(":")[2], limits.height_m, limits.reach_m).says()
     begun_s = time.monotonic()
 
     def told(text: str) -> None:
@@ -103,17 +109,22 @@ def _lead(journal: Journal, output: Path, limits: Limits, yes: bool, as_json: bo
         shown("looking at the craft") as progress,
         Shell(output, inputs, lambda line: told(f"  {line}"), "groundstation learn", True) as shell,
     ):
-        pilot = Place(link, height)
-        if pilot.is_software:
-            pilot = Place(SOFTWARE + str(shell.folder / _sealed(shell, journal.task.hide)), height)
+        if link.startswith(SOFTWARE):
+            sealed = _sealed(shell, journal.task.hide)
+            source = str(shell.folder / sealed)
+            pilot: Place = FastPlace(source, limits.height_m, limits.reach_m)
+        else:
+            pilot = _daemon_place(journal, told)
         journal.save(shell.folder)
-        _preflight(pilot, journal, limits, yes, told)
+        _preflight(pilot, journal, limits, yes, store, told)
         try:
             _learn(journal, shell, pilot, told)
         finally:
             journal.seconds += time.monotonic() - begun_s
             journal.save(shell.folder)
         _report(journal, shell.folder, as_json, told)
+        if store:
+            _store(journal, shell.folder, pilot, told)
         tell_found(", ".join(one for one in journal.said if one.startswith(("search", "gains: "))))
 
 
@@ -129,7 +140,8 @@ def plan(
 
     Example: [bold]groundstation plan --model body.json[/bold]
     """
-    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.cli.learn_flights import FastPlace
+    from groundstation.dynamics.model import model_vehicle
     from groundstation.learn.planning import plan_flight
     from groundstation.learn.story import told_plan
 
@@ -137,7 +149,13 @@ def plan(
     if output is not None:
         require_new(output)
     loaded = fitted_model(model)
-    place = Place(f"{SOFTWARE}{loaded.vehicle}", height, model=model)
+    firmware = model_vehicle(loaded).firmware
+    if firmware != "2.x":
+        raise BadInputError(
+            f"--model {model}: a {loaded.vehicle} flies firmware {firmware}, which holds neither"
+            " height nor place, so no program can fly its manoeuvres"
+        )
+    place = FastPlace(loaded.vehicle, limits.height_m, limits.reach_m, model)
     planned = plan_flight(place, loaded, limits, seconds)
     if output is not None:
         planned.write(output)
@@ -186,13 +204,33 @@ def _begun(journal: Journal | None, asked: Task, output: Path) -> Journal:
         return Journal(task=asked)
     begun = journal.task
     batteries = max(begun.batteries, asked.batteries)
-    journal.task = msgspec.structs.replace(asked, vehicle=begun.vehicle, batteries=batteries)
+    journal.task = msgspec.structs.replace(
+        asked, vehicle=begun.vehicle, batteries=batteries, craft=begun.craft
+    )
     if msgspec.structs.replace(begun, batteries=batteries) != journal.task:
         raise BadInputError(
             f"{output}: was begun with other options ({begun}); go on with those, or learn in"
             " another folder with -o"
         )
+    if asked.link == "daemon" and begun.craft is None and journal.flights:
+        raise BadInputError(
+            f"{output}: an earlier version flew these flights and did not note which craft it was;"
+            " learn in another folder with -o"
+        )
     return journal
+
+
+def _daemon_place(journal: Journal, told: Told) -> DaemonPlace:
+    """For the daemon's craft, as often as nobody presses Stop."""
+    from groundstation import socket_path
+    from groundstation.cli.commanding import await_connection
+    from groundstation.cli.craft_flight import stops_begun
+    from groundstation.cli.learn_flights import DaemonPlace
+
+    path = socket_path()
+    await_connection(path)
+    task = journal.task
+    return DaemonPlace(task.height_m, task.reach_m, stops_begun(path), told, task.craft)
 
 
 def _craft_text(link: str) -> str:
@@ -200,6 +238,12 @@ def _craft_text(link: str) -> str:
     from groundstation import load_vehicle
 
     source = link.partition(":")[2]
+    if source.endswith(".json"):
+        from groundstation import load_model
+
+        load_model(source)
+        path = json.dumps(str(Path(source).absolute()))
+        return f'[stand_in]\nplant = "model"\ncraft = {path}\nestimated = true\n'
     if not source.endswith(".toml"):
         load_vehicle(source)
         return f'[stand_in]\nplant = "reduced"\ncraft = "{source}"\n'
@@ -213,47 +257,69 @@ def _sealed(shell: Shell, hide: int | None) -> str:
     """The settings that fly: with effects hidden in them where a seed was given."""
     if hide is None:
         return CRAFT
-    if not (shell.folder / SEALED).exists():
-        count = HIDDEN_EFFECTS[hide % len(HIDDEN_EFFECTS)]
-        shell.run(
-            *("python", "-m", "firmware_sim.hide", "--settings", CRAFT, "--seed", str(hide)),
-            *("--effects", str(count), "-o", SEALED),
-        )
+    command = shell.keep if (shell.folder / SEALED).exists() else shell.run
+    command(
+        *("python", "-m", "firmware_sim.hide", "--settings", CRAFT, "--seed", str(hide)),
+        *("--effects", str(HIDDEN_EFFECTS[hide % len(HIDDEN_EFFECTS)]), "-o", SEALED),
+    )
     return SEALED
 
 
-def _preflight(pilot: Place, journal: Journal, limits: Limits, yes: bool, told: Told) -> None:
+def _preflight(
+    pilot: Place, journal: Journal, limits: Limits, yes: bool, store: bool, told: Told
+) -> None:
     """Say what will happen; ask where motors of a real craft would turn."""
     import msgspec
 
+    from groundstation.cli.learn_flights import DaemonPlace
+    from groundstation.control.flight_watch import BEYOND_M
     from groundstation.learn.story import flights_ahead
 
     says = pilot.says()
-    journal.task = msgspec.structs.replace(journal.task, vehicle=says["vehicle"] or "crazyflie21")
-    battery = "" if says["battery_v"] is None else f", battery at {says['battery_v']:.2f} V"
-    told(f"craft: {says['craft']}, a {journal.task.vehicle}, firmware {says['firmware']}{battery}")
+    if store:
+        pilot.require_storing()
+    journal.task = msgspec.structs.replace(journal.task, vehicle=says.vehicle or "crazyflie21")
+    if isinstance(pilot, DaemonPlace):
+        journal.task = msgspec.structs.replace(journal.task, craft=says.craft)
+        pilot.craft = says.craft
+    battery = "" if says.battery_v is None else f", battery at {says.battery_v:.2f} V"
+    told(f"craft: {says.craft}{battery}")
     count, seconds = flights_ahead(journal, limits)
     told(
-        f"ahead: {count} flights, {seconds:.0f} s in the air at {limits.height_m:g} m, within"
-        f" {limits.reach_m:g} m to either side, leaning {limits.tilt_deg:g} deg at most, on at most"
-        f" {journal.task.batteries} batteries; Ctrl-C stops the motors"
+        f"ahead: {count} flights, about {seconds:.0f} s in the air at {limits.height_m:g} m, on at"
+        f" most {journal.task.batteries} batteries. It stays within {limits.reach_m:g} m of its"
+        f" take-off, and lands {BEYOND_M:g} m beyond that."
     )
-    real = not pilot.is_software and not says["craft"].startswith("udp://")
-    if real and not yes:
-        require_yes("clear of people, ready to fly?", "not flown")
+    if not says.software:
+        told("Each flight is announced. Ctrl-C lands the craft; Ctrl-C again stops its motors.")
+        if not yes:
+            require_yes("clear of people, ready to fly?", "not flown")
 
 
 def _learn(journal: Journal, shell: Shell, pilot: Place, told: Told) -> None:
-    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.cli.learn_flights import FastPlace
     from groundstation.learn.story import Learner
 
-    plain = shell.folder / CRAFT
-    source = str(plain) if plain.exists() else journal.task.vehicle
+    plain, task = shell.folder / CRAFT, journal.task
+    source = str(plain) if plain.exists() else task.vehicle
 
-    def rehearse(model: Path) -> Place:
-        return Place(SOFTWARE + source, journal.task.height_m, model=str(model))
+    def rehearse(model: Path) -> FastPlace:
+        return FastPlace(source, task.height_m, task.reach_m, str(model))
 
     Learner(journal, shell, pilot, rehearse, told).learn()
+
+
+def _store(journal: Journal, folder: Path, pilot: Place, told: Told) -> None:
+    """Have the craft keep the gains that it was left with, where they flew better."""
+    from groundstation.control.gains_file import load_gains
+    from groundstation.learn.story import GAINS
+
+    if not journal.gains.startswith("written"):
+        told("stored: nothing, for no gains flew better")
+        return
+    found = load_gains(folder / GAINS)
+    gains = {name: value for name, value in found.items() if isinstance(value, float)}
+    told("stored on the craft: " + ", ".join(pilot.store(gains)))
 
 
 def _share(journal: Journal, limits: Limits) -> float:
@@ -284,11 +350,22 @@ def _report(journal: Journal, folder: Path, as_json: bool, told: Told) -> None:
 
 
 def _undo(journal: Journal | None, folder: Path) -> None:
-    from groundstation.cli.learn_flights import Place
+    """By the daemon's note, of whoever flew, and by what was written from this folder; what the
+    craft has stored of its gains is cleared."""
+    from groundstation import socket_path
+    from groundstation.service.client import ask
 
-    if journal is None or not journal.gains.startswith("written"):
+    if journal is None or journal.task.link != "daemon":
         raise BadInputError(f"{folder}: no gains were written from here; nothing to put back")
-    Place(journal.task.link, journal.task.height_m).write(journal.former)
-    journal.gains = f"put back by --undo; they were {journal.gains}"
-    journal.save(folder)
-    show("the former gains are back: " + ", ".join(journal.former))
+    former = journal.former if journal.gains.startswith("written") else {}
+    restored = ask(socket_path(), "POST", "/command/restore")["values"]
+    cleared: list[str] = []
+    if former:
+        cleared = _daemon_place(journal, show).put_back(former)
+        journal.gains = f"put back by --undo; they were {journal.gains}"
+        journal.save(folder)
+    if not (former or restored):
+        raise BadInputError(f"{folder}: no gains were written from here; nothing to put back")
+    show("the former gains are back: " + ", ".join(sorted({*former, *restored})))
+    if cleared:
+        show("stored gains cleared: " + ", ".join(cleared))

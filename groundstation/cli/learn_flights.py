@@ -1,115 +1,64 @@
-"""Flights of ``learn``: one pilot for the software craft in fast time and a craft behind the
-daemon."""
+"""Flights of ``learn``: the software craft in fast time, or the daemon's craft."""
 
 from __future__ import annotations
 
-import contextlib
-import math
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from groundstation import GroundStationError, Pilot, socket_path
+from groundstation import BadInputError, GroundStationError, Pilot, socket_path
 from groundstation.cli.commanding import (
     await_connection,
-    begin_recording,
-    end_recording,
-    patient,
     require_height,
+    require_place,
     require_ready,
 )
-from groundstation.cli.craft_parameters import (
-    put_back,
-    put_back_left,
-    why_aborted,
+from groundstation.cli.craft_flight import (
+    Changes,
+    commanded,
+    fly_recorded,
+    require_calm,
     write_parameters,
 )
-from groundstation.cli.left_changed import also_written, note_changes
-from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
-from groundstation.cli.sticks import CraftHeight, Hands
+from groundstation.cli.height_flight import Flyable, Room, fly_by_height
+from groundstation.cli.interrupts import Interrupts
+from groundstation.cli.learn_take_off import await_battery, await_take_off
+from groundstation.cli.stored_gains import clear_gains, require_storing, store_gains
 from groundstation.cli.terminal import say
-from groundstation.control.programme import BY_HAND, GRAVITY
-from groundstation.learn.journal import Flown
-from groundstation.service.motor_stop import BY_OPERATOR
+from groundstation.control.programme import BY_HAND
+from groundstation.learn.journal import Craft, Flown
+from groundstation.paths import written_whole
+from groundstation.service.motor_stop import BY_OPERATOR, LANDED_BY_OPERATOR
 
 if TYPE_CHECKING:
     from groundstation.links.software_craft import SoftwareCraft
 
 CLIENT = "learn"
 SOFTWARE = "software:"
-LEAN_PER_M, LEAN_PER_M_S, LEAN_MOST_DEG = 5.8, 9.3, 10.0
-"""Of the onlooker who keeps a craft in its place."""
-LIFT_PER_M, LIFT_PER_M_S, LIFT_PER_M_SECOND = 4.0, 3.6, 1.5
-"""And of his thrust: accelerations, m/s^2."""
-TICK_S = 0.01
-FULL_V, CHANGED_S = 4.0, 600.0
-"""A full cell at rest, and how long one is waited for."""
-CLEAR_S, STILL_DPS = 15.0, 5.0
-"""Whoever changed it needs time to step back: the craft has to stand still for so long, turning no
-faster than this."""
-HOVERS = 36000.0
-"""16-bit thrust that he begins with."""
-
-
-class Onlooker(CraftHeight):
-    """Somebody who watches the software craft: leans it back to its place, and gives the thrust
-    where it does not hold its height by itself. places: whether he leans."""
-
-    def __init__(self, craft: SoftwareCraft, height_m: float, *, places: bool) -> None:
-        super().__init__(height_m, 0.0, craft.now_s)
-        self._craft, self._places = craft, places
-        self._seen, self._lift, self._climb = craft.position_m, 0.0, 0.0
-
-    def at(self, height_m: float) -> Hands:
-        now = self._craft.position_m
-        ahead, aside, climb = ((a - b) / TICK_S for a, b in zip(now, self._seen, strict=True))
-        self._seen = now
-        roll = pitch = 0.0
-        if self._places:
-            turn = self._craft.heading_rad
-            x, y = (LEAN_PER_M * p + LEAN_PER_M_S * v
-                    for p, v in zip(now[:2], (ahead, aside), strict=True))  # fmt: skip
-            pitch = -_within(math.cos(turn) * x + math.sin(turn) * y, LEAN_MOST_DEG)
-            roll = _within(-math.sin(turn) * x + math.cos(turn) * y, LEAN_MOST_DEG)
-        hands = Hands(roll_deg=roll, pitch_deg=pitch)
-        if self._craft.lease["holds_height"]:
-            return replace(hands, height_m=max(height_m, 0.0))
-        error = height_m - now[2]
-        self._lift = _within(self._lift + LIFT_PER_M_SECOND * error * TICK_S, 4.0)
-        push = LIFT_PER_M * error - LIFT_PER_M_S * climb + self._lift
-        ratio = min(max(1.0 + push / GRAVITY, 0.3), 1.6)
-        return replace(hands, thrust=round(HOVERS * ratio ** (1.0 / 1.7)))
-
-
-def _copied(recording: Path, file: Path) -> None:
-    """The daemon's recording in the folder of what is learnt, whole or not at all."""
-    try:
-        file.write_bytes(recording.read_bytes())
-    except OSError as error:
-        file.unlink(missing_ok=True)
-        raise GroundStationError(
-            f"{file}: cannot be written: {error.strerror}; the flight is in {recording}"
-        ) from error
-
-
-def _within(value: float, most: float) -> float:
-    return min(max(value, -most), most)
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where flights are flown. link: ``software:SETTINGS`` or ``daemon``. height_m: held. model: a
-    file that the software craft flies in the place of its own physics."""
+class Says:
+    """What a craft says before anything turns. vehicle: the profile. battery_v: None where it does
+    not say. software: nobody can be hurt by it."""
 
-    link: str
+    craft: Craft
+    vehicle: str
+    battery_v: float | None
+    software: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FastPlace:
+    """Flies a software craft on its own clock. source: of its settings. model: a file that it flies
+    in the place of its own physics; it trims and drifts as its own filter makes it."""
+
+    source: str
     height_m: float
+    reach_m: float
     model: str = ""
-
-    @property
-    def is_software(self) -> bool:
-        return self.link.startswith(SOFTWARE)
 
     def fly(
         self,
@@ -118,115 +67,170 @@ class Place:
         *,
         seed: int,
         gains: Mapping[str, float] | None = None,
-        steps: bool = False,
     ) -> Flown:
         """Fly a programme and leave its recording in ``file``.
 
-        steps: nobody but the programme leans it. gains: written before it, and put back after it.
-        Raises KeyboardInterrupt when the motors stand and what was flown is in the file.
+        gains: written before it, and put back after it. Raises KeyboardInterrupt when the motors
+        stand and what was flown is in the file.
         """
-        if self.is_software:
-            return self._fast(programme, file, seed, dict(gains or {}), steps)
-        return self._real(programme, file, dict(gains or {}))
+        craft = self._craft(seed)
+        room = Room(self.height_m, 0.0, self.reach_m)
+        with Interrupts() as signals:
+            try:
+                craft.arm()
+                craft.write(dict(gains or {}))
+                flying = _controllers(craft.parameters())
+                ended = fly_by_height(
+                    craft, programme, room, signals, tells_battery=True, clock=craft
+                )
+            finally:
+                craft.stop()
+                craft.save(file)
+        if ended.interrupted is not None:
+            raise ended.interrupted
+        return Flown(ended.why, craft.now_s(), flying)
 
     def write(self, gains: Mapping[str, float]) -> None:
-        """Write gains to a craft that stands; a software craft is switched off between flights."""
-        if not self.is_software:
-            with Pilot(socket_path(), CLIENT) as pilot:
-                pilot.write(dict(gains))
+        """It is switched off between flights and keeps nothing."""
+
+    def require_storing(self) -> None:
+        """Raises BadInputError."""
+        raise BadInputError(
+            f"--store: {self.source} is made anew for each flight: it keeps nothing"
+        )
+
+    def store(self, gains: Mapping[str, float]) -> list[str]:
+        """It keeps nothing."""
+        return []
 
     def await_battery(self) -> None:
-        """Wait for a craft with a full battery that stands still; a software craft has one. Raises
-        GroundStationError where none comes, or where it does not tell its voltage."""
-        now = time.monotonic()
-        deadline, still = now + CHANGED_S, now
-        while not self.is_software and time.monotonic() - still < CLEAR_S:
-            full = False
-            with contextlib.suppress(GroundStationError), Pilot(socket_path(), CLIENT) as pilot:
-                telemetry = require_ready(pilot, needs_battery=True)
-                turning = max(abs(rate) for rate in telemetry["gyro_dps"])
-                full = telemetry["battery_v"] >= FULL_V and turning < STILL_DPS
-            if not full:
-                still = time.monotonic()
-            if time.monotonic() > deadline:
-                raise GroundStationError(
-                    f"no craft with a battery of {FULL_V:g} V and more that stood still for"
-                    f" {CLEAR_S:g} s came within {CHANGED_S / 60:.0f} min; put a full one in, and"
-                    " the same command goes on"
-                )
-            time.sleep(1.0)
+        """It has a full one in each flight."""
 
-    def says(self) -> dict[str, Any]:
-        """What the craft says before anything turns: ``craft``, ``vehicle``, ``firmware``,
-        ``battery_v``. Raises GroundStationError where it cannot fly."""
-        if self.is_software:
-            craft = self._craft(0)
-            return {"craft": craft.uri, "vehicle": craft.vehicle.name,
-                    "firmware": craft.lease["firmware"], "battery_v": None}  # fmt: skip
-        path = socket_path()
-        await_connection(path)
-        with Pilot(path, CLIENT) as pilot:
-            require_height(pilot)
-            telemetry = require_ready(pilot, needs_battery=False)
-            return {"craft": pilot.lease["uri"], "vehicle": pilot.ask("GET", "/status")["vehicle"],
-                    "firmware": pilot.lease["firmware"],
-                    "battery_v": telemetry["battery_v"]}  # fmt: skip
+    def says(self) -> Says:
+        """Raises BadInputError where it cannot fly."""
+        craft = self._craft(0)
+        return Says(Craft(**craft.lease["craft"]), craft.vehicle.name, None, software=True)
 
     def _craft(self, seed: int) -> SoftwareCraft:
         from groundstation.links.software_craft import SoftwareCraft
 
-        flies = {"plant": "model", "craft": self.model, "effects": {}} if self.model else {}
-        return SoftwareCraft(self.link.removeprefix(SOFTWARE), CLIENT, seed=seed, **flies)
+        flies: dict[str, Any] = {}
+        if self.model:
+            flies = {"plant": "model", "craft": self.model, "effects": {},
+                     "estimated": True}  # fmt: skip
+        return SoftwareCraft(self.source, CLIENT, seed=seed, **flies)
 
-    def _fast(
+
+@dataclass(slots=True)
+class DaemonPlace:
+    """Flies the daemon's craft. stops: the daemon's count of Stops when this program began. told:
+    given what a person must know before a take-off. craft: the one that is flown, None before it is
+    known."""
+
+    height_m: float
+    reach_m: float
+    stops: int
+    told: Callable[[str], None]
+    craft: Craft | None = None
+
+    def fly(
         self,
         programme: Flyable,
         file: Path,
+        *,
         seed: int,
-        gains: dict[str, float],
-        steps: bool,
+        gains: Mapping[str, float] | None = None,
     ) -> Flown:
-        craft = self._craft(seed)
-        try:
-            craft.arm()
-            craft.write(gains)
-            flying = {k: v for k, v in craft.parameters().items() if k.startswith("pid_")}
-            sticks = Onlooker(craft, self.height_m, places=not steps)
-            aborted = fly_programme(craft, programme, sticks, tells_battery=True, clock=craft)
-        finally:
-            craft.stop()
-            craft.save(file)
-        return Flown(aborted, craft.now_s(), flying)
+        """As ``FastPlace.fly``, once the craft stands and a countdown is over. Raises
+        GroundStationError where the motors were stopped since this program began, or another craft
+        is there."""
+        await_connection(socket_path())
+        require_calm(self.stops)
+        with self._commanded() as pilot:
+            ready = require_ready(pilot, needs_battery=False, may_be_disarmed=True)
+            tells = ready["battery_v"] is not None
+            _require_holding(pilot)
+            changes = Changes.of(pilot.parameters(), gains or {})
+            floor_m = await_take_off(pilot, file.name, self.told)
+            self.told(f"flying {file.name}. Ctrl-C lands it.")
+            room = Room(self.height_m, floor_m, self.reach_m)
+            flying = _controllers(pilot.parameters()) | changes.changed
+            report = fly_recorded(
+                pilot,
+                changes,
+                lambda signals: fly_by_height(pilot, programme, room, signals, tells_battery=tells),
+                f"{CLIENT} begins",
+                purpose=file.name,
+            )
+        say(report.ended.motors, error=True)
+        _copied(Path(report.recording), file)
+        if report.ended.interrupted is not None:
+            raise report.ended.interrupted
+        why = report.ended.why
+        by_hand = why in (BY_OPERATOR, LANDED_BY_OPERATOR)
+        return Flown(f"{BY_HAND}: {why}" if by_hand else why, report.seconds, flying)
 
-    def _real(self, programme: Flyable, file: Path, gains: dict[str, float]) -> Flown:
+    def write(self, gains: Mapping[str, float]) -> None:
+        """Write gains that stay to a craft that stands."""
+        with self._commanded() as pilot:
+            write_parameters(pilot, gains)
+
+    def require_storing(self) -> None:
+        """Raises BadInputError for a craft that forgets its gains when it is switched off."""
+        with self._commanded() as pilot:
+            require_storing(pilot)
+
+    def store(self, gains: Mapping[str, float]) -> list[str]:
+        """Write gains that flew well to a craft that stands, and have it keep them; the names of
+        what it has stored."""
+        with self._commanded() as pilot:
+            write_parameters(pilot, gains)
+            return store_gains(pilot, "the craft is learnt")
+
+    def put_back(self, former: Mapping[str, float]) -> list[str]:
+        """Write former gains, and clear stored ones; the names of the latter."""
+        with self._commanded() as pilot:
+            write_parameters(pilot, former)
+            return sorted(clear_gains(pilot))
+
+    def await_battery(self) -> None:
+        """Wait for the craft with a full battery. Raises GroundStationError where none comes, or
+        where it does not tell its voltage."""
+        await_battery(self._commanded, lambda: require_calm(self.stops))
+
+    def says(self) -> Says:
+        """Raises GroundStationError where it cannot fly."""
         path = socket_path()
         await_connection(path)
-        with Pilot(path, CLIENT) as pilot:
-            tells = require_ready(pilot, needs_battery=False)["battery_v"] is not None
-            require_height(pilot)
-            before = pilot.parameters()
-            before |= put_back_left(pilot, before)
-            saved = {name: before[name] for name in gains}
-            floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
-            recording = begin_recording(path)
-            aborted, begun_s = "interrupted", time.monotonic()
-            try:
-                if gains:  # `pid fly --undo` puts back what a killed program leaves
-                    note_changes(pilot.lease["uri"], saved, also_written({}, gains))
-                    write_parameters(pilot, gains)
-                sticks = CraftHeight(self.height_m, floor_m)
-                aborted = fly_programme(pilot, programme, sticks, tells_battery=tells)
-            except GroundStationError as error:
-                aborted = why_aborted(error)
-            finally:
-                seconds = time.monotonic() - begun_s
-                with patient():
-                    told = stop_motors(pilot)
-                    say(told, error=True)
-                    flown = end_recording(path, recording, aborted)
-                    put_back(pilot, CLIENT, saved, {}, {}, aborted)
-                    _copied(Path(flown), file)
-        flying = {k: v for k, v in before.items() if k.startswith("pid_")} | gains
-        if aborted == BY_OPERATOR:
-            aborted = f"{BY_HAND}: {aborted}"
-        return Flown(aborted, seconds, flying)
+        with self._commanded() as pilot:
+            _require_holding(pilot)
+            ready = require_ready(pilot, needs_battery=False, may_be_disarmed=True)
+            vehicle = pilot.ask("GET", "/status")["vehicle"]
+            lease = pilot.lease
+        return Says(Craft(**lease["craft"]), vehicle, ready["battery_v"], lease["software"])
+
+    def _commanded(self) -> Any:
+        return commanded(CLIENT, self.stops, self.craft)
+
+
+Place = FastPlace | DaemonPlace
+
+
+def _require_holding(pilot: Pilot) -> None:
+    require_height(pilot)
+    require_place(pilot)
+
+
+def _controllers(parameters: Mapping[str, float]) -> dict[str, float]:
+    return {k: v for k, v in parameters.items() if k.startswith("pid_")}
+
+
+def _copied(recording: Path, file: Path) -> None:
+    """The daemon's recording in the folder of what is learnt, whole or not at all."""
+    try:
+        with recording.open("rb") as source, written_whole(file) as target:
+            shutil.copyfileobj(source, target)
+    except OSError as error:
+        raise GroundStationError(
+            f"{file}: cannot be written: {error.strerror}; the flight is in {recording}"
+        ) from error

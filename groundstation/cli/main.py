@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 import warnings
 from types import FrameType
 from typing import NoReturn
@@ -13,12 +14,17 @@ from groundstation import GroundStationError
 from groundstation.allocator import keep_freed
 from groundstation.text import printable
 
+begun_ns = time.time_ns()
+"""When a person began this command, Unix ns: nothing much was imported before."""
+
 
 def main() -> NoReturn:
     """Run the command line; what went wrong becomes one line and exit status 1.
 
     SIGTERM ends it as Ctrl-C does: a script's background job ignores SIGINT.
     """
+    global begun_ns
+    begun_ns = time.time_ns()
     status, interrupted = 1, 128 + signal.SIGINT
 
     def terminate(number: int, frame: FrameType | None) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,13 +38,41 @@ MASS_RANGE = 5.0
 
 
 def open_one(path: Path) -> Recording:
-    from groundstation import open_recording
+    """A recording for an analysis: what is not believed of it is missing."""
+    from groundstation.recording.open_for_analysis import open_for_analysis
 
-    return open_recording(path)
+    return open_for_analysis(path)
+
+
+def tell_rejected(recordings: Sequence[Recording]) -> None:
+    """On stderr, what of recordings was taken as missing."""
+    from groundstation.recording.soundness import rejected
+
+    for one in recordings:
+        for line in rejected(one):
+            show(line, error=True)
+
+
+@contextlib.contextmanager
+def with_reasons(recordings: Sequence[Recording], where: str = "") -> Iterator[None]:
+    """A refusal, behind ``where``, also says what of the recordings was taken as missing: it may be
+    why."""
+    from groundstation.recording.soundness import rejected
+
+    try:
+        yield
+    except BadInputError as error:
+        lines = "; ".join(line for one in recordings for line in rejected(one))
+        if not (lines or where):
+            raise
+        reasons = f" ({lines})" if lines else ""
+        raise type(error)(f"{where}{error}{reasons}") from error
 
 
 def runs_from(paths: Sequence[Path]) -> list[Run]:
-    return runs_in([open_one(path) for path in paths])
+    recordings = [open_one(path) for path in paths]
+    tell_rejected(recordings)
+    return runs_in(recordings)
 
 
 def runs_in(recordings: Sequence[Recording]) -> list[Run]:

@@ -8,12 +8,14 @@ from groundstation import GroundStationError, socket_path
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import require_yes, show, show_json
+from groundstation.links.craft_address import is_software
 from groundstation.service.client import ask
+from groundstation.service.lander import LANDED
 from groundstation.service.motor_stop import STOPPED
 
 motors = Commands(
     help=(
-        "Stop, arm or disarm the motors of the craft that the running daemon commands, or let it"
+        "Land the craft that the running daemon commands, stop, arm or disarm its motors, or let it"
         " recover from a crash."
         "\n\nExample: [bold]groundstation motors stop[/bold]"
     ),
@@ -27,16 +29,27 @@ def add_commands(app: typer.Typer) -> None:
 
 @motors.command("stop")
 def stop(as_json: bool = AS_JSON) -> None:
-    """Stop the motors at once, whoever commands, and end that command.
+    """Stop the motors immediately, whoever is flying. A craft in the air falls.
 
-    Fails where the craft's telemetry does not say within 3 s that they stand.
+    Every program that was started before loses control, and learn ends. Fails if the telemetry
+    does not confirm within 3 s that the motors stand.
 
     Example: [bold]groundstation motors stop[/bold]
     """
-    told = ask(socket_path(), "POST", "/command/stop")["motors"]
-    if told != STOPPED:
-        raise GroundStationError(f"{told}; whoever commanded commands no more")
-    _report(STOPPED, "; whoever commanded commands no more", as_json)
+    _end("stop", (STOPPED,), as_json)
+
+
+@motors.command("land")
+def land(as_json: bool = AS_JSON) -> None:
+    """Land the craft, whoever is flying, and stop its motors on the ground.
+
+    Every program that was started before loses control, and learn ends. Takes up to 6 s. Needs a
+    craft that holds its height. One that does not fly is said to be stopped. Fails if the telemetry
+    does not confirm it.
+
+    Example: [bold]groundstation motors land[/bold]
+    """
+    _end("land", (LANDED, STOPPED), as_json)
 
 
 @motors.command("arm")
@@ -52,11 +65,11 @@ def arm(
     Example: [bold]groundstation motors arm[/bold]
     """
     command = ask(socket_path(), "GET", "/status")["command"]
-    if command is not None and not command["uri"].startswith("udp://") and not yes:
+    if command is not None and not is_software(command["uri"]) and not yes:
         question = f"{command['uri']}: clear of people, propellers may turn; arm its motors?"
         require_yes(question, "not armed")
     ask(socket_path(), "POST", "/command/arm", {"on": True})
-    _report("armed", "", as_json)
+    _report("armed", as_json)
 
 
 @motors.command("disarm")
@@ -66,7 +79,7 @@ def disarm(as_json: bool = AS_JSON) -> None:
     Example: [bold]groundstation motors disarm[/bold]
     """
     ask(socket_path(), "POST", "/command/arm", {"on": False})
-    _report("disarmed", "", as_json)
+    _report("disarmed", as_json)
 
 
 @motors.command("recover")
@@ -76,11 +89,24 @@ def recover(as_json: bool = AS_JSON) -> None:
     Example: [bold]groundstation motors recover[/bold]
     """
     ask(socket_path(), "POST", "/command/recover")
-    _report("recovered", "", as_json)
+    _report("recovered", as_json)
 
 
-def _report(state: str, more: str, as_json: bool) -> None:
+def _end(how: str, done: tuple[str, ...], as_json: bool) -> None:
+    """Ask for the end of whatever flies. Raises GroundStationError unless it is one of ``done``."""
+    answer = ask(socket_path(), "POST", f"/command/{how}")
+    motors, ended = answer["motors"], answer["ended"]
+    more = "".join(f"; {kind} was ended" for kind in ended) + "; nobody is in control now"
+    if motors not in done:
+        raise GroundStationError(motors + more)
+    if as_json:
+        show_json({"motors": motors, "ended": ended})
+    else:
+        show(motors + more)
+
+
+def _report(state: str, as_json: bool) -> None:
     if as_json:
         show_json({"motors": state})
     else:
-        show(state + more)
+        show(state)

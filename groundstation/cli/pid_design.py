@@ -152,8 +152,10 @@ def _design_thesis(
     from groundstation.control.design import Limits, design_direct
     from groundstation.control.design_report import thesis_design_page, thesis_report
     from groundstation.control.linear_loop import axis_plant
+    from groundstation.control.uncertainty import require_certain
     from groundstation.dynamics.model import THESIS
 
+    require_certain(model, [axis for axis in axes if axis not in (model.arx or {})])
     found: dict[str, tuple[PidGains, Design, Any, Any]] = {}
     limits = Limits(sensitivity=sensitivity, delay_s=spare_s)
     with shown("designing") as show:

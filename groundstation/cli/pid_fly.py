@@ -2,54 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation import BadInputError, GroundStationError, Pilot, socket_path
+from groundstation import BadInputError, Pilot, socket_path
 from groundstation.cli.commanding import (
     await_connection,
-    begin_recording,
-    end_recording,
-    patient,
     require_consent,
     require_ended,
     require_height,
     require_ready,
-)
-from groundstation.cli.craft_parameters import (
-    left_on,
-    put_back,
-    put_back_left,
-    why_aborted,
-    write_parameters,
-)
-from groundstation.cli.left_changed import (
-    Written,
-    also_written,
-    changes_left,
-    crafts_left,
-    note_changes,
+    require_standing,
 )
 from groundstation.cli.model_files import (
     AS_JSON,
     require_new,
     say_written,
 )
-from groundstation.cli.pid_manoeuvres import (
+from groundstation.cli.pid_whose import Whose
+from groundstation.cli.sticks import (
     HOLD_HEIGHT,
     NOMINAL_V,
-    fly_programme,
-    stop_motors,
+    Source,
+    StandInPilot,
+    height_of,
+    open_sticks,
 )
-from groundstation.cli.pid_whose import Whose
-from groundstation.cli.sticks import Source, StandInPilot, open_sticks
+from groundstation.cli.stored_gains import STORE, clear_gains, require_storing, store_gains
 from groundstation.cli.terminal import say, show, show_json
+from groundstation.service.client import ask
 
 if TYPE_CHECKING:
     from groundstation import Recording
+    from groundstation.cli.interrupts import Interrupts
+    from groundstation.cli.motors_off import Ended
     from groundstation.control.programme import Programme
     from groundstation.control.step_analysis import Flown
 
@@ -74,8 +64,8 @@ def fly(
     ),
     amplitude: float = typer.Option(10.0, help="Roll and pitch, deg."),
     yaw_rate: float = typer.Option(60.0, help="Yaw, deg/s."),
-    hold: float = typer.Option(1.0, help="How long each level is held, s."),
-    rest: float = typer.Option(1.0, help="Level flight between manoeuvres, s."),
+    hold: float = typer.Option(0.7, help="How long each level is held, s."),
+    rest: float = typer.Option(1.0, help="Rest between manoeuvres, s."),
     repeat: int = typer.Option(8, help="Manoeuvres an axis; more of them, less noise."),
     firmware: str | None = typer.Option(
         None,
@@ -84,8 +74,10 @@ def fly(
     ),
     thrust: str = THRUST,
     restore: bool = typer.Option(False, "--restore", help="Put the former gains back after it."),
-    undo: bool = typer.Option(
-        False, "--undo", help="Only put back what an interrupted flight left changed."
+    store: bool = STORE,
+    undo: bool = typer.Option(False, "--undo", help="Put former gains back, clear stored ones."),
+    rehearse: bool = typer.Option(
+        False, "--rehearse", help="Fly it in software with --model; no craft is touched."
     ),
     dry_run: bool = typer.Option(False, "--dry-run", help="Show what would be flown."),
     yes: bool = typer.Option(False, "--yes", help="Do not ask before a real craft flies."),
@@ -95,35 +87,47 @@ def fly(
     """Fly gains through steps or doublets, and compare with the prediction.
 
     A client of a running daemon with a command link ('groundstation run --command ...'). Ctrl-C
-    stops the motors.
+    lands a craft that holds its height, a second one stops its motors.
 
     Example: [bold]groundstation pid fly --gains gains.toml --model body.json --restore[/bold]
     """
-    from groundstation.control.pid import AXES
-    from groundstation.control.programme import Programme, require_flyable
-
     if html is not None:
         require_new(html)
-    planned = Programme(
-        programme,  # type: ignore[arg-type]  # require_flyable judges it
-        *(tuple(axis or AXES), amplitude, yaw_rate, hold, rest, repeat),
-    )
-    require_flyable(planned)
+    planned = _planned(programme, axis, amplitude, yaw_rate, hold, rest, repeat)
     whose = Whose(gains, model, firmware)
     wanted = whose.wanted()
     if dry_run:
         _show(planned, wanted, as_json)
         return
+    if rehearse:
+        _rehearse(planned, wanted, model, height_of(thrust or "height"), as_json)
+        return
     if undo:
         _undo()
         return
-    report = _flight(planned, wanted, whose, restore, thrust, yes)
+    report = _flight(planned, wanted, whose, restore, store, thrust, yes)
     require_ended(report, "flight")
     _judge(report, planned, model, html, as_json)
 
 
+def _planned(shape: Any, axes: list[str] | None, *more: Any) -> Programme:
+    """Raises BadInputError for one that should not be flown."""
+    from groundstation.control.pid import AXES
+    from groundstation.control.programme import Programme, require_flyable
+
+    planned = Programme(shape, tuple(axes or AXES), *more)
+    require_flyable(planned)
+    return planned
+
+
 def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None:
-    plan = {**programme.as_dict(), "seconds": programme.seconds, "reach_m": programme.reach_m}
+    from groundstation.control.flight_watch import BEYOND_M
+
+    plan = {
+        **programme.as_dict(),
+        **{name: getattr(programme, name)
+           for name in ("seconds", "reach_m", "held_seconds", "held_reach_m")},
+    }  # fmt: skip
     if as_json:
         show_json({"programme": plan, "gains": wanted})
         return
@@ -133,11 +137,43 @@ def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None
         f" held {programme.hold_s:g} s"
     )
     show(
-        f"{programme.seconds:.0f} s with {programme.reach_m:.1f} m to either side at most,"
-        " if nothing slows the craft down"
+        f"with a Flow deck: about {programme.held_seconds:.0f} s; it returns after each"
+        f" manoeuvre, stays within {programme.held_reach_m:.1f} m of its take-off, and lands"
+        f" {BEYOND_M:g} m beyond that"
+    )
+    show(
+        f"without: {programme.seconds:.0f} s; one manoeuvre carries it {programme.reach_m:.1f} m,"
+        " nothing brings it back: a human must"
     )
     for name, value in wanted.items():
         show(f"  {name} = {value:g}")
+
+
+def _rehearse(
+    programme: Programme,
+    wanted: dict[str, float],
+    model: str | None,
+    height_m: float | None,
+    as_json: bool,
+) -> None:
+    from groundstation.cli.rehearsal import rehearse
+    from groundstation.control.report import flight_lines
+
+    if model is None or height_m is None:
+        raise BadInputError("--rehearse: give the identified craft, --model, and --thrust height")
+    reach_m, measures = programme.held_reach_m, programme.shape != "level"
+    told, steps = rehearse(programme, wanted, model, height_m, reach_m, measures)
+    if as_json:
+        axes = {} if steps is None else {one.axis: one.as_dict() for one in steps.axes}
+        show_json({"rehearsal": told, "gains": wanted, "axes": axes})
+        return
+    show(
+        f"rehearsed in software, {told['seconds']:.0f} s: it stayed within"
+        f" {told['farthest_m']:.1f} m of its take-off, flew {told['top_m_s']:.1f} m/s at most,"
+        f" leaned {told['lean_deg']:.0f} deg at most, and landed"
+    )
+    for line in [] if steps is None else flight_lines(steps):
+        show(line)
 
 
 def _flight(
@@ -145,132 +181,105 @@ def _flight(
     wanted: dict[str, float],
     whose: Whose,
     restore: bool,
+    store: bool,
     thrust: str,
     yes: bool,
 ) -> dict[str, Any]:
     """Everything that touches the craft; what happened."""
+    from groundstation.cli.craft_flight import Changes, commanded, fly_recorded, stops_begun
+
     path = socket_path()
     await_connection(path)
-    with Pilot(path, CLIENT) as pilot:
-        uri = pilot.lease["uri"]
-        release = whose.require(pilot.lease["firmware"], uri)
-        real = not uri.startswith("udp://")
-        if real and thrust == "stand-in":
+    with commanded(CLIENT, stops_begun(path)) as pilot:
+        lease = pilot.lease
+        uri, software = lease["uri"], lease["software"]
+        release = whose.require(lease["firmware"], uri)
+        if thrust == "stand-in" and not software:
             raise BadInputError(f"--thrust stand-in: {uri} is a real craft; a human gives thrust")
         before = pilot.parameters()
-        former, written = left_on(uri, before)
-        unknown = [name for name in wanted if name not in before]
-        if unknown:
-            raise BadInputError(
-                f"the craft has no parameter {', '.join(unknown)}; nothing was written"
-            )
+        Changes.of(before, wanted)
         tells_battery = require_ready(pilot, needs_battery=False)["battery_v"] is not None
-        if real and not yes:
-            require_consent(pilot, f"{uri}: clear of people, ready to fly?", "not flown")
-        by_itself = pilot.lease["holds_height"]
-        # where it stands now: it may have been put elsewhere before it was said to be ready
-        floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
+        require_storing(pilot, store, restore=restore)
         if thrust.startswith("height"):
             require_height(pilot, f"--thrust {thrust}: ")
-        usual = "height" if by_itself else "keyboard" if real else "stand-in"
-        with open_sticks(thrust or usual, floor_m) as sticks:
-            recording = begin_recording(path)
+        usual = "height" if lease["holds_height"] else "stand-in" if software else "keyboard"
+        height_m = height_of(thrust or usual)
+        with nullcontext() if height_m else open_sticks(thrust or usual) as sticks:
+            if not software and not yes:
+                require_consent(pilot, f"{uri}: clear of people, ready to fly?", "not flown")
+            require_standing(pilot)
             holds = HOLD_HEIGHT in before and isinstance(sticks, StandInPilot)
-            changed = {**wanted, HOLD_HEIGHT: 1.0} if holds else dict(wanted)
-            # what an interrupted flight found is what the craft had
-            saved = {name: former.get(name, before[name]) for name in changed}
-            changes = _Changes(changed, saved, former, written, {} if restore else wanted)
+            changed = {**wanted, HOLD_HEIGHT: 1.0} if holds else wanted
+            stays = frozenset() if restore else frozenset(wanted)
+            changes = Changes.of(before, changed, stays=stays)
+            flown = before | wanted
             details = {
                 "programme": programme.as_dict(),
                 "gains": wanted,
-                "saved": saved,
+                "saved": changes.former,
                 "firmware": release,
-                "flown": _flown_gains(before, wanted),
+                "flown": {k: v for k, v in flown.items() if k.startswith("pid_")},
             }
-            flown = _flown(pilot, programme, sticks, changes, details, tells_battery)
+            fly = _way_to_fly(pilot, programme, height_m, sticks, tells_battery)
+            report = fly_recorded(pilot, changes, fly, f"{CLIENT} begins", **details)
+        keeps = store and not report.ended.why
+        done = f"flown and recorded to {report.recording}"
+        stored = store_gains(pilot, done) if keeps else []
     return {
-        **flown,
-        "recording": end_recording(path, recording, flown["aborted"]),
+        "aborted": report.ended.why,
+        "motors": report.ended.motors,
+        "restored": report.restored,
+        "stored": stored,
+        "recording": report.recording,
         "gains": details["flown"],
         "firmware": release,
     }
 
 
-@dataclass(frozen=True, slots=True)
-class _Changes:
-    """Parameters that a flight writes. changed: all of them, saved: what the craft had. former,
-    written: as an interrupted flight left them. stays: what is not put back after a good flight."""
-
-    changed: dict[str, float]
-    saved: dict[str, float]
-    former: dict[str, float]
-    written: Written
-    stays: dict[str, float]
-
-    def put_back(self, pilot: Pilot, aborted: str) -> list[str]:
-        """The names of what is put back."""
-        stays = {} if aborted else self.stays
-        back = {name: value for name, value in self.saved.items() if name not in stays}
-        earlier = {name: v for name, v in self.former.items() if name not in self.changed}
-        put_back(pilot, CLIENT, back, earlier, self.written, aborted)
-        return sorted(back)
-
-
-def _flown(
+def _way_to_fly(
     pilot: Pilot,
     programme: Programme,
-    sticks: Source,
-    changes: _Changes,
-    details: dict[str, Any],
+    height_m: float | None,
+    sticks: Source | None,
     tells_battery: bool,
-) -> dict[str, Any]:
-    """Fly with the changes, stop the motors and put back what does not stay."""
-    if changes.changed:
-        saved = {**changes.former, **changes.saved}
-        note_changes(pilot.lease["uri"], saved, also_written(changes.written, changes.changed))
-    aborted, motors, stopped = "an unforeseen error", "", False
-    try:
-        write_parameters(pilot, changes.changed)
-        pilot.mark("pid fly begins", **details)
-        say(f"{pilot.lease['uri']}: {sticks.help}; Ctrl-C stops", error=True)
-        aborted = fly_programme(pilot, programme, sticks, tells_battery=tells_battery)
-    except KeyboardInterrupt as stop:
-        aborted, stopped = str(stop) or "Ctrl-C", True
-    except GroundStationError as error:
-        aborted = why_aborted(error)
-    finally:
-        # motors first: parameters may take a while
-        with patient():
-            if stopped:  # said where another Ctrl-C can no longer prevent it
-                say("stopping the motors", error=True)
-            motors = stop_motors(pilot)
-        back = changes.put_back(pilot, aborted)
-    return {"aborted": aborted, "motors": motors, "restored": back}
+) -> Callable[[Interrupts], Ended]:
+    """By the height that the craft holds, or by somebody's thrust."""
+    from groundstation.cli.height_flight import Room, fly_by_height
+    from groundstation.cli.pid_manoeuvres import fly_by_hand
 
-
-def _flown_gains(before: dict[str, float], wanted: dict[str, float]) -> dict[str, float]:
-    return {name: value for name, value in before.items() if name.startswith("pid_")} | wanted
+    uri = pilot.lease["uri"]
+    if sticks is not None:
+        say(f"{uri}: {sticks.help}; Ctrl-C stops the motors", error=True)
+        return lambda signals: fly_by_hand(
+            pilot, programme, sticks, signals, tells_battery=tells_battery
+        )
+    assert height_m is not None
+    floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
+    room = Room(height_m, floor_m, programme.held_reach_m)
+    say(f"{uri}: the craft holds {height_m:g} m by itself; Ctrl-C lands it", error=True)
+    return lambda signals: fly_by_height(
+        pilot, programme, room, signals, tells_battery=tells_battery
+    )
 
 
 def _undo() -> None:
-    crafts = crafts_left()
-    if not crafts:
-        show("nothing was left changed")
-        return
+    from groundstation.cli.craft_flight import write_parameters
+
     path = socket_path()
     await_connection(path)
-    with Pilot(path, CLIENT) as pilot:
-        uri = pilot.lease["uri"]
-        if changes_left(uri) is None:
-            raise BadInputError(
-                f"the changes were made on {', '.join(crafts)}, the daemon commands {uri};"
-                " nothing was written"
-            )
-        former = put_back_left(pilot, pilot.parameters())
-    if former:
-        show("the former values are back: " + ", ".join(former))
-    else:
-        show("nothing is left changed: the craft has been restarted or set anew since that flight")
+    restored = ask(path, "POST", "/command/restore")["values"]
+    if restored:
+        show("the former values are back: " + ", ".join(restored))
+    cleared: dict[str, float] = {}
+    command = ask(path, "GET", "/status")["command"]
+    if command is not None and command["stores"]:
+        with Pilot(path, CLIENT) as pilot:
+            cleared = clear_gains(pilot)
+            write_parameters(pilot, cleared)
+    if cleared:
+        show("stored gains cleared, the stock ones are back: " + ", ".join(cleared))
+    if not (restored or cleared):
+        show("nothing was left changed")
 
 
 def _require_supply(recording: Recording) -> None:
@@ -293,8 +302,9 @@ def _judge(
     """Metrics of the recording, beside the model's."""
     flown: Flown | None = None
     if programme.shape != "level":
-        from groundstation import load_model, open_recording
+        from groundstation import load_model
         from groundstation.control.step_recording import analyse_recording
+        from groundstation.recording.open_for_analysis import open_for_analysis
 
         if not Path(report["recording"]).exists():
             raise BadInputError(
@@ -302,7 +312,7 @@ def _judge(
                 " pid fly where it can read the daemon's recordings"
             )
         loaded = None if model is None else load_model(model)
-        recording = open_recording(Path(report["recording"]))
+        recording = open_for_analysis(Path(report["recording"]))
         if loaded is not None:
             _require_supply(recording)
         try:
@@ -323,6 +333,8 @@ def _judge(
         show_json(report)
         return
     show(f"recording: {report['recording']}")
+    if report["stored"]:
+        show("stored on the craft: " + ", ".join(report["stored"]))
     if flown is None:
         return
     from groundstation.control.report import flight_lines

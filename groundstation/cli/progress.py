@@ -11,10 +11,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from groundstation.compiling import compiles
+from groundstation.paths import write_whole
 from groundstation.text import printable
 
 SILENT_S = 1.0
@@ -138,12 +140,8 @@ def tell_found(text: str) -> None:
 def _tell(what: dict[str, Any]) -> None:
     path = os.environ.get(TOLD)
     if path:
-        try:
-            with open(f"{path}.new", "w") as file:
-                json.dump(what, file)
-            os.replace(f"{path}.new", path)
-        except OSError:
-            pass  # nobody waits any more
+        with suppress(OSError):  # nobody waits any more
+            write_whole(Path(path), json.dumps(what))
 
 
 def _write(text: str) -> None:

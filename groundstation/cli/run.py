@@ -114,7 +114,7 @@ async def _serve(config: Config, duration_s: float | None) -> None:
     tasks: list[asyncio.Task[None]] = []
 
     def ready() -> None:
-        _introduce(station, control.path)
+        _introduce(station, control.path, live)
         notify("READY=1")
 
     def last_resort() -> None:
@@ -168,19 +168,23 @@ async def _open_page(station: Station) -> None:
     await asyncio.to_thread(webbrowser.open, station.page.address())
 
 
-def _introduce(station: Station, socket: Path) -> None:
+def _introduce(station: Station, socket: Path, live: bool) -> None:
+    """Say what is served where. live: to a terminal, which is told the page's one-time address."""
     config = station.config
     lines = [("link", station.receiver.link.name)]
     folder = config.recording.folder if config.recording.enabled else "off"
     lines.append(("recordings", folder))
     lines += [("viewer", url) for url in station.viewer.status()["urls"]] or [("viewer", "off")]
     if config.page.enabled:
-        lines.append(("page", station.page.address()))
+        # whoever reads a log, or a pipe's file, shall not get in
+        lines.append(("page", station.page.address() if live else station.page.url))
     if config.twin.model:
         lines.append(("twin", config.twin.model))
     lines.append(("control", str(socket)))
     for name, text in lines:
         say(f"  {name:<11}{text}")
+    if config.page.enabled and not live:
+        say("  The page lets in who has an address of: groundstation page")
     say("  Ctrl-C stops and finishes the recording.")
 
 

@@ -14,25 +14,24 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
 from groundstation import BadInputError
-from groundstation.links.command import HEIGHT_MOST_M
 
 THRUST_MOST = 55000
 KEY_STEP = 500
 FULL_LEAN_DEG, FULL_YAW_DPS = 15.0, 90.0
 DEAD_ZONE = 0.08
 HEIGHTS_M, DEFAULT_HEIGHT_M, CLIMB_M_S = (0.2, 2.0), 0.5, 0.4
-FLOOR_M = 0.1
-"""A craft on the floor may say that it stands so much lower: heights are not asked for below 0."""
 HOLD_M = 0.8
 """How high a craft climbs that holds its height by ``flightmode.althold``."""
+HOLD_HEIGHT = "flightmode.althold"
 HOLDS_THRUST = 32767.0
 """With that mode: what neither climbs nor sinks; 0 is 1 m/s downwards."""
+NOMINAL_V = 3.7
+"""Of a cell that is not told."""
 MOTORS_ON = 10000
 """The firmware takes less thrust for none."""
 _EVENT = struct.Struct("<IhBB")
@@ -43,12 +42,10 @@ STICKS = "left stick thrust and yaw, right stick attitude, first button begins, 
 
 @dataclass(frozen=True, slots=True)
 class Hands:
-    """What a human wants: thrust 0..55000, or a height in m that the craft holds by itself, angles
-    in deg and yaw rate in deg/s to be added in the signs of the telemetry, whether the programme
-    may begin, whether to stop at once."""
+    """What a human wants: thrust 0..55000, angles in deg and yaw rate in deg/s to be added in the
+    signs of the telemetry, whether the programme may begin, whether to stop at once."""
 
     thrust: int = 0
-    height_m: float | None = None
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_dps: float = 0.0
@@ -57,7 +54,7 @@ class Hands:
 
     @property
     def flies(self) -> bool:
-        return self.thrust > MOTORS_ON or self.height_m is not None
+        return self.thrust > MOTORS_ON
 
 
 def climb_thrust(climb_m_s: float) -> int:
@@ -81,37 +78,6 @@ class StandInPilot:
             self._begun_s = now_s
         climbs = now_s < self._begun_s + HOLD_M / CLIMB_M_S
         return Hands(thrust=climb_thrust(CLIMB_M_S if climbs else 0.0), begin=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-
-class CraftHeight:
-    """The craft holds its height by itself: nobody gives thrust. height_m: above where it stands,
-    floor_m by its own account. now_s: the craft's clock. above_m: what a programme adds to it."""
-
-    def __init__(
-        self, height_m: float, floor_m: float, now_s: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.floor_m, self.top_m = floor_m, floor_m + height_m
-        self.above_m = 0.0
-        self.help = f"the craft holds {height_m:g} m by itself"
-        self._now_s = now_s
-        self._begun_s: float | None = None
-
-    def read(self) -> Hands:
-        now_s = self._now_s()
-        if self._begun_s is None:
-            self._begun_s = now_s
-        height_m = min(self.floor_m + CLIMB_M_S * (now_s - self._begun_s), self.top_m)
-        return replace(self.at(height_m + self.above_m), begin=height_m >= self.top_m)
-
-    def at(self, height_m: float) -> Hands:
-        """What brings it to a height and holds it there."""
-        return Hands(height_m=max(height_m, 0.0))
 
     def __enter__(self) -> Self:
         return self
@@ -205,17 +171,14 @@ class Gamepad:
         )
 
 
-Source = StandInPilot | CraftHeight | Keyboard | Gamepad
+Source = StandInPilot | Keyboard | Gamepad
 
 
-def open_sticks(name: str, floor_m: float = 0.0) -> Source:
-    """``stand-in``, ``height:0.5``, ``keyboard`` or ``gamepad:/dev/input/js0``. floor_m: where the
-    craft stands. Raises BadInputError."""
+def open_sticks(name: str) -> Source:
+    """``stand-in``, ``keyboard`` or ``gamepad:/dev/input/js0``. Raises BadInputError."""
     kind, _, rest = name.partition(":")
     if name == "stand-in":
         return StandInPilot()
-    if kind == "height":
-        return CraftHeight(_height(rest, floor_m), floor_m)
     if name == "keyboard":
         return Keyboard()
     if kind == "gamepad":
@@ -225,20 +188,19 @@ def open_sticks(name: str, floor_m: float = 0.0) -> Source:
     )
 
 
-def _height(text: str, floor_m: float) -> float:
+def height_of(name: str) -> float | None:
+    """Of ``height:0.5``, m: what the craft holds by itself; None for another source of thrust.
+    Raises BadInputError."""
+    kind, _, text = name.partition(":")
+    if kind != "height":
+        return None
     low, high = HEIGHTS_M
     try:
         height_m = float(text or DEFAULT_HEIGHT_M)
     except ValueError:
         height_m = math.nan
     if not low <= height_m <= high:
-        raise BadInputError(f"--thrust height:{text}: give metres, {low:g}..{high:g}")
-    if not -FLOOR_M <= floor_m <= HEIGHT_MOST_M - height_m:
-        raise BadInputError(
-            f"--thrust height:{height_m:g}: the craft says that it stands at {floor_m:.2f} m, and"
-            f" takes heights of 0..{HEIGHT_MOST_M:g} m: stand it lower or higher, or set the origin"
-            " of its positioning system on the floor"
-        )
+        raise BadInputError(f"--thrust {name}: give metres, {low:g}..{high:g}")
     return height_m
 
 

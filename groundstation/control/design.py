@@ -44,7 +44,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     effort: largest controller output for a unit step, inf for any.
     yielding: how far a push may move the craft, over the least that the other limits allow; inf
         for any. Without it a loop that follows the setpoint by pushing ahead may be soft.
-    compliance: the same as a number.
+    compliance: the same as a number. overshoot: in percent, inf for any.
     """
 
     sensitivity: float = 2.0
@@ -53,6 +53,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     effort: float = math.inf
     yielding: float = math.inf
     compliance: float = math.inf
+    overshoot: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +160,7 @@ def closest(
     Raises BadInputError where no gains keep the limits.
     """
     archive = Archive()
-    score = Scorer(lambda j: j[:, RMS], limits, math.inf)
+    score = Scorer(lambda j: j[:, RMS], limits, limits.overshoot)
     gains, judged = search(judge, score, low, high, archive, seed, budget, start)
     if not _kept(judged[None], limits)[0]:
         raise BadInputError(_impossible(archive, limits))
@@ -267,6 +268,7 @@ def _kept(judgements: Array, limits: Limits) -> NDArray[np.bool_]:
         & (judgements[:, OFFSET] <= limits.offset)
         & (judgements[:, EFFORT] <= limits.effort)
         & (judgements[:, COMPLIANCE] <= limits.compliance)
+        & (judgements[:, OVERSHOOT] <= limits.overshoot)
         & np.isfinite(judgements[:, SETTLING])
     )
 

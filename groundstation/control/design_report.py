@@ -45,6 +45,7 @@ from groundstation.control.report import (
 from groundstation.control.thesis_tables import GAINS, RESULTS
 from groundstation.control.uncertainty import estimates_of
 from groundstation.dynamics.model import ArxAxis, Model
+from groundstation.dynamics.suitability import WORDS, Use, suitability
 from groundstation.report.page import Page
 
 Array = NDArray[np.float64]
@@ -60,6 +61,14 @@ PURPOSES = {
 GAINS_HEAD = ("gain", "value", "unit", "meaning")
 
 
+ASSUMED_CURVE = (
+    "the thrust curve of the craft's own propellers is assumed, and releases differ from it by -18"
+    " to +25 %: fit the body on flights that today's daemon recorded, and it is the craft's own"
+)
+"""Slopes at hover of the releases of 2023.11 to 2026.08 on a 2.1, a 2.1+ and a Brushless, over that
+of the design."""
+
+
 def firmware_report(
     model: Model,
     release: Release,
@@ -69,7 +78,9 @@ def firmware_report(
 ) -> dict[str, Any]:
     """``pid design --json`` for the firmware's loops."""
     notes = [limits_line(limits)]
-    axes = {}
+    if release == "2.x" and model.firmware_curve is None:
+        notes.insert(0, ASSUMED_CURVE)
+    axes, known = {}, suitability(model)
     for one in designs:
         entry = axis_entry(one.nominal, one.margins, one.design, tuple(one.gains))
         entry["gains"] = one.gains
@@ -79,6 +90,9 @@ def firmware_report(
             f"stock gains: maximum sensitivity {stock.max_sensitivity:.1f},"
             f" delay margin {1e3 * stock.delay_s:.1f} ms"
         ]
+        bears = known.get(one.axis)
+        if bears is not None and bears.use != Use.DESIGN:
+            entry["notes"].insert(0, f"the model is {WORDS[bears.use]}: {bears.reasons[0]}")
         if tried is not None:
             table = tried.judgements[one.axis]
             entry["draws"] = {

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.control.design import (
-    COMPLIANCE,
+    EFFORT,
+    OFFSET,
+    OVERSHOOT,
     SENSITIVITY,
     Design,
     Limits,
@@ -25,6 +27,7 @@ from groundstation.control.firmware_loop import (
     GAIN_MOST,
     SUPPLY_MV,
     UNUSABLE,
+    YIELDING,
     CascadeJudge,
     cascade_margins,
 )
@@ -50,11 +53,14 @@ HIGH: dict[Release, dict[str, tuple[float, ...]]] = {
     },
 }
 """Where gains are searched, in the order of ``Firmware.gain_names``; pitch as roll."""
-EFFORT = 0.15
+MOST_EFFORT = 0.15
 """Largest step of a motor, as a share of full PWM: what hover leaves to either side, less a
 reserve for the height."""
-YIELDING = 2.0
-"""A push moves the craft this much further at most than with the stiffest gains allowed."""
+AS_STIFF = 1.0 + 1e-6
+"""As the stock gains, but for rounding."""
+OVERSHOOT_MORE = 2.5
+"""Points that gains may overshoot more than the stock ones by the model: half of what is written
+(``learn``), for a flight is off by as much again."""
 DESIGN_BAND = 0.035
 """Responses that settle only just within the 5 % are not looked for: noise would unsettle them."""
 BUDGET = Budget(first=250, population=24, generations=36)
@@ -90,7 +96,7 @@ class Robustness:
 
 def cascade_limits(sensitivity: float = 2.0, delay_s: float = 0.002) -> Limits:
     """The limits of a design for the firmware."""
-    return Limits(sensitivity=sensitivity, delay_s=delay_s, effort=EFFORT, yielding=YIELDING)
+    return Limits(sensitivity=sensitivity, delay_s=delay_s, effort=MOST_EFFORT, yielding=YIELDING)
 
 
 def design_cascade(
@@ -110,6 +116,7 @@ def design_cascade(
 
     Raises BadInputError where the model is too uncertain, or no gains keep the limits.
     """
+    require_certain(model, axes)
 
     def one(axis: str) -> AxisDesign:
         plants, judge, low, high, stock = _searched(model, axis, limits, supply_mv, release)
@@ -146,14 +153,15 @@ def closest_cascade(
     """Gains of an axis that follow a step the closest within the limits; their judgement, and that
     of the stock gains that it begins with.
 
-    They keep the limits as ``design_cascade``'s do, with two that the stock gains set: where those
-    are more sensitive than the limit the gains may be as sensitive, and a push moves the craft
-    ``limits.yielding`` times as far as with them at most.
+    They keep the limits as ``design_cascade``'s do, with those that the stock gains set: where
+    these are more sensitive than the limit, or ask more of the motors, so may the gains be; a push
+    that lasts moves the craft no further than with them, a fast one twice as far (``CascadeJudge``,
+    beside); they overshoot ``OVERSHOOT_MORE`` points more at most.
 
     Raises BadInputError where the model is too uncertain, or no gains keep the limits.
     """
     _, judge, low, high, names = _searched(
-        model, axis, limits, supply_mv, release, unusable=math.inf
+        model, axis, limits, supply_mv, release, unusable=math.inf, beside_stock=True
     )
     stock = np.array([list(names.values())])
     before = judge(stock)[0]
@@ -161,7 +169,10 @@ def closest_cascade(
         limits = msgspec.structs.replace(
             limits,
             sensitivity=max(limits.sensitivity, float(before[SENSITIVITY])),
-            compliance=limits.yielding * float(before[COMPLIANCE]),
+            effort=max(limits.effort, float(before[EFFORT])),
+            offset=max(limits.offset, float(before[OFFSET])),
+            compliance=AS_STIFF,
+            overshoot=float(before[OVERSHOOT]) + OVERSHOOT_MORE,
         )
     start = np.clip(stock, low, high)
     gains, judged = closest(judge, low, high, limits, start, seed, budget)
@@ -175,16 +186,20 @@ def _searched(
     supply_mv: float,
     release: str | None,
     unusable: float = UNUSABLE,
+    beside_stock: bool = False,
 ) -> tuple[list[Plant], CascadeJudge, Array, Array, dict[str, float]]:
     """Plants of a model (the nominal one first), their judge, where gains are searched, (d,) each,
     and the stock gains. Raises BadInputError where the model is too uncertain."""
     require_certain(model, (axis,))
     firmware = firmware_of_vehicle(model_vehicle(model), release)
     plants = [plant_of_model(other, release=release) for other in corners(model, axis)]
-    judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND, unusable)
+    stock = {name: firmware.stock[name] for name in firmware.gain_names(axis)}
+    beside = stock if beside_stock else None
+    judge = CascadeJudge(
+        plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND, unusable, beside
+    )
     kind = "yaw" if axis == "yaw" else "roll"
     low, high = np.array(LOW[firmware.name][kind]), np.array(HIGH[firmware.name][kind])
-    stock = {name: firmware.stock[name] for name in firmware.gain_names(axis)}
     return plants, judge, low, high, stock
 
 

@@ -209,6 +209,11 @@ UNUSABLE = 4.0
 """Maximum sensitivity beyond which a loop is not worth simulating."""
 
 
+YIELDING = 2.0
+"""Times as far as with the gains beside them, that fast pushes may move a craft: the price of a
+closer answer to setpoints."""
+SLOW_RAD_S, FAST_RAD_S = 3.0, 10.0
+"""Below the first a push is what lasts: in a third of a second it is seen and answered."""
 STILL_S, STILL_RAD_S = 0.3, 1e-6
 """A craft in trim turns no faster in so long."""
 
@@ -230,6 +235,10 @@ class CascadeJudge:
     motor away from hover, as a share of full PWM; compliance is in rad, yaw's in rad/s, per
     rad/s^2. What is unstable or has a sensitivity beyond
     ``unusable`` is infinite throughout.
+
+    beside: gains of the axis; compliance is then over theirs at each frequency, and a push faster
+    than ``SLOW_RAD_S`` counts the less, down to a ``YIELDING``-th: at 1 what is slow (a centre of
+    gravity, a weak rotor, wind) moves it no further, and what is fast ``YIELDING`` times as far.
     """
 
     def __init__(
@@ -241,6 +250,7 @@ class CascadeJudge:
         supply_mv: float = SUPPLY_MV,
         band: float = 0.05,
         unusable: float = UNUSABLE,
+        beside: Mapping[str, float] | None = None,
     ) -> None:
         self._band, self._unusable = band, unusable
         self._index, self._size = AXES.index(axis), STEP_RAD[axis]
@@ -251,6 +261,11 @@ class CascadeJudge:
         s = 1j * omega
         self._late = -omega * spare_s
         self._parts = [_loop_parts(plant, self._index, s, supply_mv) for plant in plants]
+        if beside is not None:
+            self._parts = [
+                (*parts[:-1], _over(plant, beside, axis, omega, supply_mv))
+                for plant, parts in zip(plants, self._parts, strict=True)
+            ]
         firmware = plants[0].firmware
         self._rest = firmware_of({}, firmware)
         self._ratios = integral_ratios(firmware)
@@ -295,6 +310,15 @@ class CascadeJudge:
             here[~np.isfinite(here[:, 4])] = np.inf
             worst[left] = np.maximum(worst[left], here)
         return worst
+
+
+def _over(
+    plant: Plant, beside: Mapping[str, float], axis: str, omega: Array, supply_mv: float
+) -> Array:
+    """What a push moves without a controller, over what it moves with some gains and may more."""
+    loop = loop_response(plant, beside, axis, omega, supply_mv)
+    most = np.interp(np.log(omega), np.log([SLOW_RAD_S, FAST_RAD_S]), [1.0, YIELDING])
+    return np.asarray(np.abs(1.0 + loop) / most)
 
 
 def _drifts(plant: Plant, supply_mv: float) -> bool:

@@ -7,13 +7,14 @@ Both know their gains by the same parameter names, and mean other things by the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundstation.control.pid import AXES
+from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import FULL_16_BIT
@@ -21,10 +22,9 @@ from groundstation.telemetry.packet import FULL_16_BIT
 Array = NDArray[np.float64]
 Release = Literal["2014", "2.x"]
 RELEASES: tuple[Release, ...] = get_args(Release)
+Curve = tuple[float, float, float, float]
 FULL = FULL_16_BIT + 1.0
 """Duty 1 in the firmware's 16 bits."""
-BRUSHLESS_OHM = 1.0
-"""Windings of brushless motors are below it, those of brushed ones above."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Firmware:
     rate_limit: tuple[float, float, float]
     angle_limit: tuple[float, float, float]
     designed: Mapping[str, tuple[str, ...]]
-    curve: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    curve: Curve = (0.0, 0.0, 0.0, 0.0)
     most_n: float = 0.0
 
     @property
@@ -106,9 +106,7 @@ RELEASE_2014 = Firmware(
 )
 
 
-def _today(
-    kp: float, ki: float, curve: tuple[float, float, float, float], most_n: float
-) -> Firmware:
+def _today(kp: float, ki: float, curve: Curve, most_n: float) -> Firmware:
     return Firmware(
         "2.x",
         _gains(
@@ -157,8 +155,16 @@ def firmware_of_vehicle(vehicle: Vehicle, release: str | None = None) -> Firmwar
         )
     if vehicle.name in PLATFORMS:
         return PLATFORMS[vehicle.name]
-    is_brushless = vehicle.winding_ohm < BRUSHLESS_OHM
-    return PLATFORMS["brushless" if is_brushless else "crazyflie21"]
+    return PLATFORMS["brushless" if vehicle.is_brushless else "crazyflie21"]
+
+
+def firmware_of_model(model: Model, release: str | None = None) -> Firmware:
+    """The firmware that flies a model, with the thrust curve that its flights showed. Raises
+    BadInputError as ``firmware_of_vehicle`` does."""
+    firmware = firmware_of_vehicle(model_vehicle(model), release)
+    if model.firmware_curve is None or not firmware.is_today:
+        return firmware
+    return replace(firmware, curve=model.firmware_curve)
 
 
 def require_release(name: str) -> Release:

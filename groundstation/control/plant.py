@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.control.firmwares import RELEASE_2014, Firmware, firmware_of_vehicle
+from groundstation.control.firmwares import RELEASE_2014, Firmware, firmware_of_model
 from groundstation.dynamics.craft import Crafts, craft_of_model, craft_of_motors
 from groundstation.dynamics.hover import hover_duty, hover_rev_s
 from groundstation.dynamics.law import FAR_M
@@ -103,7 +103,7 @@ def plant_of_model(model: Model, fusion: bool = True, release: str | None = None
     Raises BadInputError for a model without a body, or a firmware that cannot fly it.
     """
     vehicle, craft = model_vehicle(model), craft_of_model(model)
-    mixer, firmware = MIXERS[vehicle.configuration], firmware_of_vehicle(vehicle, release)
+    mixer, firmware = MIXERS[vehicle.configuration], firmware_of_model(model, release)
     sensor = sensors_of_model(model)
     return Plant(craft, sensor, hover_rev_s(craft), mixer, fusion, firmware)
 

@@ -118,15 +118,24 @@ def is_flown(entry: Mapping[str, Any]) -> bool:
 
 
 def setpoint_table(
-    commands: Sequence[Mapping[str, Any]], client: str
+    commands: Sequence[Mapping[str, Any]],
+    client: str,
+    trim_deg: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[NDArray[np.int64], Array]:
     """Host times (k,) in ns and setpoints (k, 3) in rad and rad/s that a client sent while the
-    motors ran, from a recording's commands."""
+    motors ran, from a recording's commands: level where the craft was asked to hold its place.
+
+    trim_deg: roll and pitch that were added to every other one, and are taken off.
+    """
     rows = [entry for entry in commands if is_flown(entry) and entry.get("client") == client]
     times = np.array([entry["time_ns"] for entry in rows], np.int64)
     names = ("roll_deg", "pitch_deg", "yaw_dps")
-    values = np.array([[entry[name] for name in names] for entry in rows], np.float64)
-    return times, np.radians(values.reshape(-1, 3))
+    values = np.array([[entry[name] for name in names] for entry in rows], np.float64).reshape(
+        -1, 3
+    )
+    holds = np.array(["vx_m_s" in entry for entry in rows], bool)
+    values[~holds, :2] -= trim_deg
+    return times, np.radians(values)
 
 
 def analyse(
@@ -297,7 +306,10 @@ def _average(grid: Array, values: Array, edges: Sequence[Edge]) -> tuple[Array, 
     """The response to a unit step, averaged over edges by the squares of their sizes (least
     squares), and the size of the smallest step."""
     usable = [edge for edge in edges if edge.after != 0.0]
-    length = min(edge.until_s - edge.time_s for edge in usable)
+    lengths = np.array([edge.until_s - edge.time_s for edge in usable])
+    # a craft that was brought back in the midst of one leaves pieces
+    whole = np.flatnonzero(lengths >= 0.5 * np.median(lengths))
+    usable, length = [usable[place] for place in whole], float(lengths[whole].min())
     rows = int(length / SAMPLE_PERIOD_S + 1e-6)
     if rows * SAMPLE_PERIOD_S < LEAST_WINDOW_S:
         raise BadInputError("the setpoints change too fast for step responses; hold them longer")

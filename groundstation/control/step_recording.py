@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.control.plant import plant_of_model
-from groundstation.control.programme import BEGINS, LANDS
+from groundstation.control.programme import BEGINS, LANDS, MANOEUVRE
 from groundstation.control.step_analysis import Flown, analyse, setpoint_table
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.vehicle import load_vehicle
@@ -35,14 +35,14 @@ def analyse_recording(
     Raises BadInputError where the file holds no such programme.
     """
     marks = {
-        str(event.get("text")): int(event["time_ns"])
-        for event in recording.events
-        if event.get("kind") == "mark"
+        str(event.get("text")): event for event in recording.events if event.get("kind") == "mark"
     }
-    begin, end = marks.get(BEGINS), marks.get(LANDS)
-    if begin is None or end is None:
+    if BEGINS not in marks or LANDS not in marks:
         raise BadInputError(f"{recording.path}: holds no whole programme of 'pid fly'")
-    times, setpoints = setpoint_table(recording.commands, client)
+    begin, end = (int(marks[name]["time_ns"]) for name in (BEGINS, LANDS))
+    details = marks.get(MANOEUVRE, {}).get("details") or {}
+    roll_deg, pitch_deg = details.get("trim_deg", (0.0, 0.0))
+    times, setpoints = setpoint_table(recording.commands, client, (roll_deg, pitch_deg))
     inside = (times >= begin - MARGIN_NS) & (times <= end)
     samples = recording.samples
     host = samples.host_time_ns
@@ -50,8 +50,10 @@ def analyse_recording(
     recorded = recording.metadata.get("vehicle", {}).get("profile", "crazyflie1")
     vehicle = load_vehicle(recorded) if model is None else model_vehicle(model)
     plant = None if model is None else plant_of_model(model, release=release)
+    flown = samples[flying]
+    flown.attitude[:, :2] -= np.radians([roll_deg, pitch_deg])
     return analyse(
-        samples[flying],
+        flown,
         times[inside],
         setpoints[inside],
         vehicle.configuration,

@@ -13,6 +13,13 @@ from numpy.typing import NDArray
 from groundstation.control.pid import AXES
 from groundstation.dynamics.model import BodyConstants, Estimate, Model, with_motor
 from groundstation.dynamics.registry import DELAY
+from groundstation.dynamics.suitability import (
+    DEAD_TIME,
+    MOST_DELAY_S,
+    MOST_STDERR,
+    WORDS,
+    suitability,
+)
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 
@@ -20,14 +27,9 @@ Array = NDArray[np.float64]
 
 BODY = ("c0", "c1", "c2", "thrust_per_mass")
 MOTOR = ("a0", "a1", "a2")
-MOST_STDERR = {"c0": 0.15, "c1": 0.15, "c2": 0.15}
-"""Standard error over value beyond which no gains are given: twice that, either way, is a loop
-gain that one design cannot serve at full performance."""
-MOST_DELAY_STDERR_S = 0.002
 CORNER = 2.0
 """Standard errors to either side that a design must bear."""
 LEAST_CORNER = 0.05
-DEAD_TIME = DELAY.partition(".")[0]
 RECORD = {
     "c0": "roll doublets of +-8 deg or more, 30 s of them",
     "c1": "pitch doublets of +-8 deg or more, 30 s of them",
@@ -62,27 +64,25 @@ def standard_errors(model: Model) -> dict[str, tuple[float, float]]:
 
 
 def require_certain(model: Model, axes: Sequence[str]) -> None:
-    """Raises BadInputError for a model too uncertain to design for: which parameter is, by how
-    much, and what to record."""
-    known = standard_errors(model)
-    for axis in axes:
-        name = BODY[AXES.index(axis)]
-        if name not in known:
-            continue
-        value, stderr = known[name]
-        if not stderr <= MOST_STDERR[name] * abs(value):
-            raise BadInputError(
-                f"{axis}: {name} is known to +-{100 * stderr / abs(value):.0f} % only (standard"
-                f" error), {100 * MOST_STDERR[name]:.0f} % is the most for a design; record"
-                f" {RECORD[name]}, and fit again"
-            )
-    value, stderr = known.get(DELAY, (0.0, 0.0))
-    if not stderr <= MOST_DELAY_STDERR_S:
-        raise BadInputError(
-            f"{DELAY} is known to +-{1e3 * stderr:.1f} ms only,"
-            f" {1e3 * MOST_DELAY_STDERR_S:g} ms is the most for a design; record"
-            f" {RECORD[DELAY]}, and fit again"
-        )
+    """Raises BadInputError for axes of a model that no gains are designed on
+    (``dynamics.suitability``): why, and what to record."""
+    found = suitability(model)
+    refused = [axis for axis in axes if axis in found and not found[axis].designs]
+    if not refused:
+        return
+    told = model.fit["body"].get("record", {})
+    why, record = [], []
+    for axis in refused:
+        one = found[axis]
+        why.append(f"{axis}: the model is {WORDS[one.use]} ({one.key}: {one.reasons[0]})")
+        record.append(told.get(one.key, RECORD[one.key]))
+    others = [f"--axis {axis}" for axis in axes if axis not in refused]
+    raise BadInputError(
+        f"{'; '.join(why)}; a standard error of {100 * MOST_STDERR:.0f} %, of a delay"
+        f" {1e3 * MOST_DELAY_S:g} ms, is the most for a design; record"
+        f" {', and '.join(dict.fromkeys(record))}, and fit again"
+        + (f"; the rest can be designed: {' '.join(others)}" if others else "")
+    )
 
 
 def draws(model: Model, count: int, seed: int = 0) -> list[Model]:

@@ -28,7 +28,7 @@ def drop_needless(search: SearchState) -> bool:
     why = refusal(Stage.JOINED, Trial(worst.variant, removal=cost))
     if why is None:
         return False
-    search.drop(worst, why)
+    search.drop((worst, why))
     return True
 
 
@@ -36,23 +36,24 @@ def drop_failing(search: SearchState) -> bool:
     """Drop, for good, the weakest accepted effect that fails what it once passed, if there is
     one."""
     variants = [one.variant for one in search.accepted]
-    failed = failing(search, variants) if variants else None
-    if failed is None:
+    failed = failing(search, variants) if variants else []
+    if not failed:
         return False
-    search.banned.add(failed[0].variant.label)
-    search.drop(*failed)
+    search.banned.add(failed[-1][0].variant.label)
+    search.drop(failed[-1])
     return True
 
 
-def failing(search: SearchState, variants: Sequence[Variant]) -> tuple[Accepted, Refusal] | None:
-    """Ask each of these effects of the joint fit beside the others; the weakest that fails, and
-    why. All are accepted until they are dropped, the strongest first."""
+def failing(search: SearchState, variants: Sequence[Variant]) -> list[tuple[Accepted, Refusal]]:
+    """Ask each of these effects of the joint fit beside the others; those that fail, the weakest
+    last, and why. All are accepted until they are dropped, the strongest first."""
     weighed = search.weighed(search.now, variants)
     both = [Accepted(one, evidence) for one, evidence in zip(variants, weighed, strict=True)]
     search.accepted = sorted(both, key=lambda one: -one.evidence.drop)
     search.held_out |= {one.variant.label: one.evidence.held_out for one in both}
-    failed = None
+    failed = []
     for one in search.accepted:
         why = refusal(Stage.WEIGHED, Trial(one.variant, search.now, evidence=one.evidence))
-        failed = failed if why is None else (one, why)
+        if why is not None:
+            failed.append((one, why))
     return failed

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import base_changes
+from groundstation.discrepancy.differences import BY_MASS, UNWEIGHED
 from groundstation.discrepancy.findings import (
     Alternative,
     Candidate,
@@ -22,7 +23,7 @@ from groundstation.discrepancy.recurrence import Recurrence
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome
 from groundstation.discrepancy.search_state import Accepted
-from groundstation.dynamics.model import Estimate, Model
+from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
 from groundstation.identification.flight import Flight
@@ -70,11 +71,7 @@ def conclude(
     for order, one in enumerate(named, 1):
         keys = (*keys, *one.variant.keys)
         effects.append(told(one, order, keys))
-    if not problem.known_motor:
-        warnings.append(
-            "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
-            " effects of voltage are taken for it"
-        )
+    warnings += _not_measured(problem, model, effects)
     verdict = Verdict.EFFECTS_FOUND
     if not effects and residual.verdict == "structured":
         verdict = Verdict.UNEXPLAINED
@@ -100,6 +97,24 @@ def conclude(
         residual=residual,
         warnings=tuple(warnings),
     )
+
+
+def _not_measured(problem: Problem, model: Model, effects: Sequence[FoundEffect]) -> Iterator[str]:
+    if not problem.known_motor:
+        yield (
+            "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
+            " effects of voltage are taken for it"
+        )
+    if model.vehicle_profile is None and any(_is_by_mass(effect) for effect in effects):
+        yield (
+            f"sizes in kg and N are for the mass of the profile,"
+            f" {1e3 * model_vehicle(model).mass_kg:.3g} g, and their errors hold"
+            f" {100.0 * UNWEIGHED:g} % for it: weigh the craft, and fit with --mass"
+        )
+
+
+def _is_by_mass(effect: FoundEffect) -> bool:
+    return any(one.unit.startswith(BY_MASS) for one in effect.parameters.values())
 
 
 def _with_renamed(point: Point, outcome: Outcome, problem: Problem) -> Point:

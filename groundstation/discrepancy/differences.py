@@ -1,5 +1,5 @@
 """What standard errors hold beside noise: what numbers differ by from flight to flight, a random
-effect of each, and a delay that rows leave open."""
+effect of each, a delay that rows leave open, and what no flight measures."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ from scipy.special import gammaincinv
 
 from groundstation.discrepancy.blocks import Blocks
 from groundstation.identification.estimate import inverse
-from groundstation.identification.likelihood.parameters import VARIANTS
+from groundstation.identification.likelihood.parameters import KEYS, VARIANTS, Point
 
 Array = NDArray[np.float64]
 
 DELAY = next(one.sizes[0] for one in VARIANTS if one.definition.stage == "delay")
 
+UNWEIGHED = 0.1
+"""Of a craft's mass, where nobody weighed it: decks, batteries and repairs are 3 g of 30."""
+BY_MASS = ("kg", "N")
+"""How units begin of what is reckoned by it."""
+UNMEASURED_MOTORS = 0.03
+"""Of a torque by its thrust, where neither a bench nor a sensor measured the motors: the slope of
+their speed over voltage, which makes one, is the profile's, and crafts of one kind differ."""
 INFORMED = 0.05
 """Share of the information on a number from which a flight takes part."""
 CHANCE = 0.95
@@ -32,7 +39,7 @@ def with_differences(errors: Mapping[str, float], blocks: Blocks) -> dict[str, f
     covariance = inverse(normal[: blocks.fitted, : blocks.fitted])
     wider = dict(errors)
     for n, key in enumerate(blocks.keys[: blocks.fitted]):
-        if key in wider:
+        if key in wider and covariance[n, n] > 0.0:  # else rows say nothing of it
             # The column without what all others imitate of it, by a unit of the number.
             alone = np.pad(covariance[:, n] / covariance[n, n], (0, len(normal) - blocks.fitted))
             trust = np.einsum("i,bij,j->b", alone, blocks.normal, alone)
@@ -58,6 +65,32 @@ def with_open_delay(errors: Mapping[str, float], blocks: Blocks, open_s: float) 
         moved = inverse(normal[: len(fitted), : len(fitted)]) @ normal[: len(fitted), at]
     spread = dict(zip(fitted, np.abs(moved) * open_s / np.sqrt(3.0), strict=True))
     return {key: float(np.hypot(error, spread.get(key, 0.0))) for key, error in errors.items()}
+
+
+def with_unmeasured(
+    errors: Mapping[str, float],
+    point: Point,
+    *,
+    row_s: float,
+    is_weighed: bool,
+    motors_known: bool,
+) -> dict[str, float]:
+    """Standard errors by key, with what no flight tells of a size: the craft's mass, by which what
+    is in kg or N is reckoned from accelerations; how its motors turn a voltage into speed, by
+    which what moves the rotors is; and when within a row a setting began."""
+    wider = dict(errors)
+    for key in errors.keys() & point.keys() & KEYS.keys():
+        size = abs(point[key] - KEYS[key].absent)
+        unit, stage = KEYS[key].parameter.unit, KEYS[key].effect.stage
+        more = [0.0]
+        if not is_weighed and unit.startswith(BY_MASS):
+            more.append(UNWEIGHED * size)
+        if not motors_known and stage in ("body", "rotor") and KEYS[key].parameter.kind == "size":
+            more.append(UNMEASURED_MOTORS * size)
+        if key == DELAY:
+            more.append(row_s / np.sqrt(12.0))
+        wider[key] = float(np.hypot(errors[key], np.linalg.norm(more)))
+    return wider
 
 
 def difference(trust: Array, score: Array, flight: NDArray[np.int64]) -> float:

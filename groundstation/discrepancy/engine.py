@@ -10,9 +10,15 @@ import numpy as np
 
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.consistency import require_consistent
-from groundstation.discrepancy.blocks import last_blocks
+from groundstation.comparison.gap import FURTHER_EVERY_S
+from groundstation.discrepancy.blocks import Blocks, last_blocks
 from groundstation.discrepancy.conclusions import conclude, open_of
-from groundstation.discrepancy.differences import DELAY, with_differences, with_open_delay
+from groundstation.discrepancy.differences import (
+    DELAY,
+    with_differences,
+    with_open_delay,
+    with_unmeasured,
+)
 from groundstation.discrepancy.division import divide
 from groundstation.discrepancy.findings import (
     Findings,
@@ -25,7 +31,7 @@ from groundstation.discrepancy.recurrence import asked_again, recurrences
 from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.search import Outcome, concluded, search_effects
 from groundstation.discrepancy.search_state import SearchState
-from groundstation.discrepancy.slow_disturbance import EVERY_S, with_disturbance
+from groundstation.discrepancy.slow_disturbance import with_disturbance
 from groundstation.discrepancy.usable import usable
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
@@ -57,6 +63,8 @@ Progress = Callable[[str, float], None]
 
 AXES = ("roll", "pitch", "yaw")
 MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
+STEPS_KEPT = 16
+"""Of a proof, which has a model a step."""
 LEAST_EXPLAINED = 0.1
 """Of the given model's squared excess over noise: what explains less of it explains nothing."""
 HARDLY_MOVED = 0.5
@@ -111,11 +119,11 @@ def find_discrepancy(
     (recordings, validation), unused = usable((recordings, validation), model)
     parts = divide(recordings, validation, model_vehicle(model).configuration)
     train = Predictions(compare(parts.fit_on, model))
-    proof_rows = Predictions(compare(parts.judged, model, train.before.black_box))
+    proof_rows = Predictions(compare(parts.judged, model, train.before.black_box), kept=STEPS_KEPT)
     findings = find_effects(
         parts.fit_on,
         model,
-        judged=FittedRows(train.before, EVERY_S),
+        judged=FittedRows(train.before, FURTHER_EVERY_S),
         own=own,
         progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
     )
@@ -224,9 +232,21 @@ def _searched(
     blocks = last_blocks(problem, final, [*others, *late])
     recurrence = recurrences(blocks, final.point, told, others)
     outcome.errors = with_differences(outcome.errors, blocks)
-    stated = with_open_delay(outcome.errors, blocks, open_of(fit_on))
+    stated = _stated(outcome, blocks, problem, model)
     found = conclude(outcome, stated, recurrence, problem, model, known, lost, warnings)
     return with_imbalance(found, problem, final.point)
+
+
+def _stated(outcome: Outcome, blocks: Blocks, problem: Problem, model: Model) -> dict[str, float]:
+    """Standard errors by key, with what the flights leave open."""
+    flights = problem.flights
+    return with_unmeasured(
+        with_open_delay(outcome.errors, blocks, open_of(flights)),
+        outcome.final.point,
+        row_s=max(flight.period_s for flight in flights),
+        is_weighed=model.vehicle_profile is not None,
+        motors_known=problem.known_motor or all(flight.rotor_measured for flight in flights),
+    )
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:

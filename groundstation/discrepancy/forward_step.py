@@ -26,6 +26,11 @@ from groundstation.identification.likelihood.problem import Fit
 SURE = 100.0
 """Drop of -2 log L beside every other effect from which one is taken without a contest: 10
 standard errors, where no rival can be within reach."""
+LEADS = 0.3
+"""Of the best candidate's drop in the screening, what another has to promise to be fitted beside
+it: a joint fit changes what is promised by less, and takes the longest of all."""
+ROUGH_STEPS = 2
+"""Of a joint fit from which one of many leaves, until no more do: as many as twenty leave."""
 FITTED, MORE_FITTED = 4, 2
 """Joint fits at once, at most, and beside them effects easily confused with the best one."""
 
@@ -34,7 +39,8 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
     """Join what is beyond doubt beside every other effect, all at once.
 
     One by one, the first to join would have to stand for those that are still missing. Each is
-    asked beside all the others, and the weakest that fails leaves.
+    asked beside all the others, and the weaker half of those that fail leaves; the next step may
+    take one of them again.
     """
     best: dict[str, Scored] = {}
     for one in search.first.beside_all(search.candidates):
@@ -56,19 +62,35 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
     search.now = search.problem.fit(point, keys)
     variants = [one.variant for one in sure]
     search.progress("asking each beside the others", -1.0)
-    while failed := failing(search, variants):
-        search.drop(*failed)
-        variants = [one.variant for one in search.accepted]
+    rough = False
+    while variants:
+        failed = failing(search, variants)
+        if failed:
+            search.drop(*failed[len(failed) // 2 :], steps=ROUGH_STEPS)
+            variants = [one.variant for one in search.accepted]
+        elif not rough:
+            break
+        else:
+            search.now = search.problem.fit(search.now.point, search.now.keys)
+        rough = bool(failed)
 
 
 def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
-    """Fit the best of these candidates and join the first that passes."""
+    """Fit the best of these candidates and join the first that passes; those that promise far less
+    than the best only where it does not."""
     shortlist = _shortlist(search, search.last.scores(search.now.keys, able))
     if not shortlist:
         return False
     before = search.problem.fit(search.now.point, search.now.keys, steps=1)
-    trials = _fitted(search, shortlist, before)
-    for trial in trials:
+    least = LEADS * shortlist[0].drop
+    leads = [one for one in shortlist if one.drop >= least]
+    behind = [one for one in shortlist if one.drop < least]
+    return any(_join_first(search, group, before) for group in (leads, behind))
+
+
+def _join_first(search: SearchState, shortlist: Sequence[Scored], before: Fit) -> bool:
+    """Join the first of these, the best one first, that passes."""
+    for trial in _fitted(search, shortlist, before):
         label = trial.variant.label
         assert trial.fit is not None
         (evidence,) = search.weighed(trial.fit, [trial.variant])

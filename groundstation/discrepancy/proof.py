@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
-from groundstation.discrepancy.findings import Findings, Predicted
+from groundstation.discrepancy.findings import (
+    Findings,
+    FoundEffect,
+    Predicted,
+    Reason,
+    Refusal,
+    Verdict,
+)
 from groundstation.dynamics.model import Disturbance, Model
 from groundstation.telemetry.masks import filled
 
@@ -36,6 +43,9 @@ LEFT = 1.1
 whose RMS grows so many times beyond what it was and beyond noise is predicted worse whatever its
 blocks scatter: errors that all lie in one second (a model that believes it has left the ground)
 have no standard error, and whoever flies the model meets them."""
+FELL = 0.03
+"""Of the gap on proof samples, the least by which it has to fall for anything to be called found:
+noise floors of two flights differ by as much."""
 BANDS_HZ = (0.0, 0.5, 2.0, 8.0, 30.0, 1000.0)
 """Trim and drift, translation, attitude control, rotors and filters, vibration."""
 
@@ -101,8 +111,8 @@ class Left(msgspec.Struct, frozen=True):
 class Predictions:
     """A given model on some rows, and others beside it; the last few are not predicted again."""
 
-    def __init__(self, before: Comparison, every_s: float = 0.0) -> None:
-        self.before, self._every_s = before, every_s
+    def __init__(self, before: Comparison, every_s: float = 0.0, kept: int = KEPT) -> None:
+        self.before, self._every_s, self._kept = before, every_s, kept
         self._last: dict[bytes, Comparison] = {}
 
     def of(self, model: Model, near: Comparison | None = None) -> Comparison:
@@ -116,7 +126,7 @@ class Predictions:
             like = self.before if near is None else near
             found = like.with_model(model, self._every_s, near is not None)
         self._last[key] = found
-        if len(self._last) > KEPT:
+        if len(self._last) > self._kept:
             del self._last[next(iter(self._last))]
         return found
 
@@ -162,13 +172,15 @@ def _numbers(model: Model) -> bytes:
 
 def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Findings, Proof]:
     """Predict proof samples with each step from the given model to the improved one; the findings
-    with these gaps, which decide nothing.
+    with these gaps. They choose no name and no size, but take the word back: what they contradict
+    is possible, not found (``_upheld``).
 
     train: the given model on the samples that were fitted; the noise floor is learnt on them, and
     is the same before and after.
     """
     before, plain = rows.before, bare(findings.model)
     after = rows.of(plain)
+    findings = _upheld(findings, rows, after)
     steps = [(GIVEN, before.gap)]
     moved = bool(findings.base_changes) or findings.moved.effects != findings.base.effects
     if moved:
@@ -178,10 +190,10 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
         gap = rows.of(found.model, after).beside(before)
         effects.append(replace(found, gap_before=steps[-1][1], gap_after=gap))
         steps.append((found.name, gap))
-    whole = first**2 - after.beside(before) ** 2
+    last = after.beside(before)
+    whole = first**2 - last**2 if falls(first, last) else math.nan
     weighed = [
-        replace(one, weight=(one.gap_before**2 - one.gap_after**2) / whole if whole else math.nan)
-        for one in effects
+        replace(one, weight=(one.gap_before**2 - one.gap_after**2) / whole) for one in effects
     ]
     followed = rows.of(findings.given), rows.of(findings.model)
     alone = rows.of(_only_named(findings)).beside(before) if moved else after.beside(before)
@@ -190,9 +202,79 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
     further = far, far.with_model(plain, FURTHER_EVERY_S)
     proof = Proof(
         *(train.before, train.of(plain), before, after, followed, further, tuple(steps)),
-        explained_by(*ends),
+        explained_by(*ends) if falls(before.gap, last) else None,
     )
     return replace(findings, effects=tuple(weighed)), proof
+
+
+def falls(before: float, after: float) -> bool:
+    """Whether a gap falls by as much as counts."""
+    return after <= (1.0 - FELL) * before
+
+
+def _upheld(findings: Findings, rows: Predictions, after: Comparison) -> Findings:
+    """The findings without the names that proof samples contradict: all, where the gap does not
+    fall, or grows where it was within noise before; those with which a channel of their own is
+    predicted worse, beside the others, than without. They stay fitted along, as what is possible
+    does."""
+    before, last = rows.before.gap, after.beside(rows.before)
+    refused: dict[str, Refusal] = {}
+    if falls(before, last) or (before <= LEFT and last <= (1.0 + FELL) * before):
+        refused = _contradicted(findings, after)
+    else:
+        words = f"prediction errors of proof samples do not fall by {100.0 * FELL:g} %"
+        refused = {one.name: Refusal(Reason.WITHOUT_WEIGHT, words) for one in findings.effects}
+    if not refused:
+        return findings
+    doubted = [replace(one, order=0, refused=refused[one.name])
+               for one in findings.effects if one.name in refused]  # fmt: skip
+    terms = {term.name: term for term in findings.model.effects}
+    along = (*findings.moved.effects, *(terms[one.name] for one in doubted))
+    kept: list[FoundEffect] = []
+    for one in findings.effects:
+        if one.name not in refused:
+            named = (*(terms[other.name] for other in kept), terms[one.name])
+            model = msgspec.structs.replace(bare(findings.model), effects=(*along, *named))
+            kept.append(replace(one, order=len(kept) + 1, model=model))
+    verdict = findings.verdict
+    if verdict is Verdict.EFFECTS_FOUND and not kept:
+        verdict = Verdict.UNEXPLAINED if rows.before.gap > LEFT else Verdict.NO_DISCREPANCY
+    return replace(
+        findings,
+        verdict=verdict,
+        effects=tuple(kept),
+        possible=(*findings.possible, *doubted),
+        moved=msgspec.structs.replace(findings.moved, effects=along),
+        candidates=tuple(
+            replace(one, accepted=False, refused=refused[one.name]) if one.name in refused else one
+            for one in findings.candidates
+        ),
+    )
+
+
+def _contradicted(findings: Findings, after: Comparison) -> dict[str, Refusal]:
+    """Effects with which a channel of their own is predicted worse, by name: the one that harms the
+    most first, and others only where they do without it as well."""
+    refused: dict[str, Refusal] = {}
+    now = after.with_model(after.model, FURTHER_EVERY_S)
+    while True:
+        harm: dict[str, tuple[float, Comparison, str]] = {}
+        for one in findings.effects:
+            if one.name in refused:
+                continue
+            others = tuple(term for term in now.model.effects if term.name != one.name)
+            model = msgspec.structs.replace(now.model, effects=others)
+            without = now.with_model(model, FURTHER_EVERY_S)
+            for channel in worse_channels(without, now):
+                name, growth = CHANNELS[channel], float(now.rms[channel] / without.rms[channel])
+                if name in one.channels and growth > harm.get(one.name, (0.0,))[0]:
+                    harm[one.name] = growth, without, name
+        if not harm:
+            return refused
+        worst = max(harm, key=lambda name: harm[name][0])
+        _, now, channel_name = harm[worst]
+        words = f"with it {channel_name} of proof samples is predicted worse than without"
+        refused[worst] = Refusal(Reason.PREDICTS_WORSE, words)
 
 
 def bare(model: Model) -> Model:

@@ -85,7 +85,8 @@ def recurrences(
     found_again = {}
     for number, one in enumerate(found):
         alone = as_it_is.beside(start - {number})
-        margins = alone[number] - (alone - beside)
+        with np.errstate(invalid="ignore"):  # neither possible alone nor beside: no margin
+            margins = alone[number] - (alone - beside)
         share = float(chosen[:, number].mean())
         instead = _alternatives(variants, number, margins, chosen)
         found_again[one.label] = Recurrence(share, instead)

@@ -62,6 +62,7 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
     worst = _worst(report.where)
     page.verdict(compared_in_words(report, worst), "good" if worst is None else "bad")
     page.next_step(compared_next(report, worst))
+    _good_for(page, report.good_for)
     page.advice([], list(found.warnings.values()))
     _channels(page, report.gap)
     page.heading("Where")
@@ -141,6 +142,7 @@ def _verdict(page: Page, report: DiscrepancyReport) -> None:
     kind = {"effects_found": "good" if clean else "neutral", "unexplained": "bad"}
     page.verdict(found_in_words(report), kind.get(report.verdict, "good"))
     page.next_step(next_in_words(report))
+    _good_for(page, report.good_for)
     notes = list(report.warnings)
     if report.residual == "structured":
         left = report.residual_detail
@@ -151,6 +153,11 @@ def _verdict(page: Page, report: DiscrepancyReport) -> None:
             + (f", most like {left.signal}" if left.signal else "")
         )
     page.advice(advice_of(report), notes)
+
+
+def _good_for(page: Page, verdict: str) -> None:
+    if verdict:
+        page.text(f"What the model is good for: {verdict[:1].lower()}{verdict[1:]}.")
 
 
 def _effects(page: Page, report: DiscrepancyReport) -> None:

@@ -25,6 +25,7 @@ from groundstation.discrepancy.findings import (
 )
 from groundstation.discrepancy.proof import LEFT, Explained, Left, Proof, what_is_left
 from groundstation.dynamics.model import Disturbance, Estimate
+from groundstation.dynamics.suitability import suitability, verdict
 
 WORST = 10
 UNIT = "RMS prediction error 20 and 50 ms ahead over the noise floor (1.0: nothing left to explain)"
@@ -154,17 +155,18 @@ class ResidualDetail(msgspec.Struct, frozen=True):
 
 
 class CompareReport(msgspec.Struct, frozen=True):
-    """``compare --json``."""
+    """``compare --json``. good_for: the verdict on the model, empty where no fit of it is known."""
 
     where: list[Place]
     gap: Gap
     recordings: list[str]
     model: str
     attitude: Literal["body", "arx"] = "body"
+    good_for: str = ""
 
 
 class DiscrepancyReport(msgspec.Struct, frozen=True):
-    """``discrepancy --json``."""
+    """``discrepancy --json``. good_for: the verdict on the model that was found."""
 
     verdict: Literal["effects_found", "no_discrepancy", "unexplained"]
     effects: list[EffectFound]
@@ -186,6 +188,7 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     explained: Explained | None = None
     disturbance: Disturbance | None = None
     possible: list[PossibleEffect] = []
+    good_for: str = ""
 
 
 def gap_of(
@@ -270,8 +273,10 @@ def discrepancy_report(
         *(proof.before, proof.further, proof.after),
         *((proof.train_before, proof.train_after), proof.followed),
     )
+    account = {**findings.model.fit, "discrepancy": {"verdict": findings.verdict.value}}
     return DiscrepancyReport(
         verdict=findings.verdict.value,
+        good_for=verdict(suitability(msgspec.structs.replace(findings.model, fit=account))),
         explained=proof.explained,
         disturbance=findings.model.disturbance,
         effects=[_effect_found(one) for one in findings.effects],

@@ -24,6 +24,7 @@ FAR = 2.0
 DOUBTS = {
     "recordings_disagree": "though stretches and flights differ by nearly as much",
     "without_weight": "though predictions are hardly better with it",
+    "predicts_worse": "though a channel of its own is predicted worse with it on other flights",
 }
 """Of what is possible, by the reason why it is not named."""
 
@@ -100,7 +101,7 @@ def _how_sure(report: DiscrepancyReport) -> str:
     )
     if level.after is None:
         return ""
-    change = f"prediction errors fall from {level.before:.1f} to {level.after:.1f} times noise"
+    change = f"prediction errors fall from {level.before:.2f} to {level.after:.2f} times noise"
     if level.after > level.before:
         change = (
             f"prediction errors grow from {level.before:.1f} to {level.after:.1f} times noise, so"

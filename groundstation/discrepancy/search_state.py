@@ -13,7 +13,7 @@ from groundstation.discrepancy.screening import Scored, Screening, without
 from groundstation.discrepancy.weight import Weight
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
-from groundstation.identification.likelihood.problem import Fit, Problem
+from groundstation.identification.likelihood.problem import STEPS, Fit, Problem
 
 Progress = Callable[[str, float], None]
 
@@ -90,13 +90,15 @@ class SearchState:
         point = before.point | {k: self.shapes.get(k, absent(k)) for k in variant.keys}
         return self.problem.fit(point, fit.keys, settled=ROUGHLY)
 
-    def drop(self, one: Accepted, why: Refusal) -> None:
-        """Take an effect out, and fit the others without it."""
-        self.accepted.remove(one)
-        self.refused[one.variant.label] = why
+    def drop(self, *failed: tuple[Accepted, Refusal], steps: int = STEPS) -> None:
+        """Take effects out, and fit the others without them, in so many steps at most."""
+        point = self.now.point
+        for one, why in failed:
+            self.accepted.remove(one)
+            self.refused[one.variant.label] = why
+            point = without(point, one.variant)
         joined = (key for one in self.accepted for key in one.variant.keys)
-        point = without(self.now.point, one.variant)
-        self.now = self.problem.fit(point, (*self.base_keys, *joined))
+        self.now = self.problem.fit(point, (*self.base_keys, *joined), steps)
 
     def refit(self, accepted: Sequence[Accepted], held: set[str], sizes: Sequence[str] = ()) -> Fit:
         """The joint fit of some effects, and of ``sizes`` from where they are absent, with the

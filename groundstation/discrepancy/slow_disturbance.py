@@ -39,9 +39,6 @@ LIFT_SHARE = 0.03
 flights of one craft tell thrusts per mass up to 5 % apart."""
 FAINTEST = 1e-300
 """A chance that a double still holds; it is one of 37 standard errors."""
-EVERY_S = 0.006
-"""Fitted rows are judged by predictions that start no more often: of rows that are faster
-neighbours say the same."""
 
 
 @dataclass(frozen=True, slots=True)

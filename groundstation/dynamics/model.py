@@ -25,6 +25,7 @@ from groundstation.dynamics.vehicle import (
     require_physical,
 )
 from groundstation.errors import BadInputError
+from groundstation.paths import write_whole
 
 SCHEMA_VERSION = 1
 MEAN_TOLERANCE = 1e-3
@@ -106,6 +107,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     origin: part (motor, body, arx, or one constant, body.c2) -> fitted, profile or given; empty in
         files that do not say (``dynamics.origin``).
     disturbance: what an observer follows beside the effects; None: nothing.
+    firmware_curve: thrust in N, by the firmware's own scale, of a motor at a voltage in V, constant
+        first, as flights showed it; None: the one that belongs to the profile.
     fit: how it was fitted (recordings with hashes, samples, method, errors, covariance).
     """
 
@@ -119,6 +122,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     effects: tuple[EffectTerm, ...] = ()
     disturbance: Disturbance | None = None
     origin: dict[str, Literal["fitted", "profile", "given"]] = {}
+    firmware_curve: tuple[float, float, float, float] | None = None
     fit: dict[str, Any] = {}
     created_by: str = ""
 
@@ -173,7 +177,8 @@ def save_model(model: Model, path: str | Path) -> None:
     """Write a model file, indented so that people and diffs can read it."""
     _require_usable(model, f"model for {path}")
     try:
-        Path(path).write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=2) + b"\n")
+        text = msgspec.json.format(msgspec.json.encode(model), indent=2) + b"\n"
+        write_whole(Path(path), text)
     except OSError as error:
         raise BadInputError(f"model {path}: cannot be written: {error.strerror}") from error
 

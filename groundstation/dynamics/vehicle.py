@@ -18,6 +18,9 @@ import msgspec
 from groundstation.documents import decode_toml, explained, read_document
 from groundstation.errors import BadInputError
 
+BRUSHLESS_OHM = 1.0
+"""Windings of brushless motors are below it, those of brushed ones above."""
+
 
 class MotorConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The identified motor dn/dt = a0 u - a1 n - a2 n^2 (thesis eq. 3.82).
@@ -124,6 +127,11 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     battery: BatteryConstants
     firmware: Literal["2014", "2.x"] = "2014"
     gains: dict[str, float] = {}
+
+    @property
+    def is_brushless(self) -> bool:
+        """Whether its motors are, by their windings."""
+        return self.winding_ohm < BRUSHLESS_OHM
 
     @property
     def thrust_per_mass(self) -> float:

@@ -94,9 +94,9 @@ def _searched(
     from groundstation.discrepancy.engine import find_discrepancy
     from groundstation.identification.recordings import flights_of_each, without_gaps
     from groundstation.recording.craft_family import require_craft_of, vehicle_of
-    from groundstation.recording.open_recording import open_recording
+    from groundstation.recording.open_for_analysis import open_for_analysis
 
-    opened = [[open_recording(path) for path in paths] for paths in (fit_on, held)]
+    opened = [[open_for_analysis(path) for path in paths] for paths in (fit_on, held)]
     groups = [
         flights_of_each((one.samples, one.path.name) for one in recordings) for recordings in opened
     ]

@@ -22,7 +22,7 @@ from groundstation.allocator import KEPT_BYTES
 from groundstation.errors import BadInputError, GroundStationError, install
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, as_completed
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -35,6 +35,11 @@ DEATHS = 3
 CONNECT_S = 10
 LOOK_S = 5.0
 """So often is asked how many workers there are: some join or leave on the way."""
+LOST_S = 1e6
+"""No run is so long."""
+GONE_S, POLL_S = 60.0, 0.01
+"""Without any worker of its own for so long a run ends: one begins within some seconds. So often is
+looked whether something has arrived; batches take longer."""
 
 
 def cores() -> int:
@@ -59,7 +64,7 @@ def carried_out(
     costs.
 
     Raises BadInputError where Dask is missing or the scheduler does not answer, GroundStationError
-    where it goes away.
+    where it goes away, or where this machine's workers ended and none began anew.
     """
     workers = min(workers, len(tasks))
     if scheduler is None and workers <= 1:
@@ -67,8 +72,8 @@ def carried_out(
             yield task, work(task)
         return
     with _client(workers, scheduler) as client:
-        threads = _Threads(client)
-        if not threads.count:
+        threads = _Threads(client, scheduler is None)
+        if scheduler is not None and not threads.count:
             _await_worker(client, scheduler)
             threads.look()
         yield from _through(client, work, _batched(tasks, max(1, threads.count), largest), threads)
@@ -86,21 +91,34 @@ def _batched(tasks: Sequence[Task], threads: int, largest: int) -> deque[list[Ta
 
 
 class _Threads:
-    """How many threads the workers of a scheduler have, asked now and then."""
+    """How many threads the workers of a scheduler have, asked now and then. own: whether this
+    program began them."""
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
+    def __init__(self, client: Client, own: bool) -> None:
+        self._client, self._own = client, own
+        self._seen_s = time.monotonic()
         self.count = 0
         self.look()
 
     def look(self) -> None:
         self.count, self._looked = sum(self._client.nthreads().values()), time.monotonic()
+        if self.count:
+            self._seen_s = self._looked
+
+    def require(self) -> None:
+        """Raises GroundStationError where own workers have ended and none was begun anew. Others'
+        may still join."""
+        if self._own and not self.now() and time.monotonic() - self._seen_s > GONE_S:
+            raise GroundStationError(
+                "the worker processes ended and none began anew; what has arrived is kept, run it"
+                " again to go on"
+            )
 
     def now(self) -> int:
         if time.monotonic() - self._looked >= LOOK_S:
             with suppress(OSError):  # a scheduler that went away shows in what is under way
                 self.look()
-        return max(1, self.count)
+        return self.count
 
 
 def _through(
@@ -116,7 +134,7 @@ def _through(
 
     def begin() -> list[Future]:
         begun: list[Future] = []
-        most = MOST_AT_ONCE * threads.now()
+        most = MOST_AT_ONCE * max(1, threads.now())
         while batches and len(under_way) < most:
             begun.append(client.submit(_each, work, batches[0], pure=False))
             under_way[begun[-1]] = batches.popleft()
@@ -124,7 +142,7 @@ def _through(
 
     try:
         arriving = as_completed(begin(), loop=client.loop)
-        for future in arriving:
+        for future in _bounded(arriving, threads):
             try:
                 results = future.result()
             except (ImportError, AttributeError, RuntimeError) as error:
@@ -145,8 +163,9 @@ def _through(
             arriving.update(begin())
         # The scheduler blames all that a dead worker had before it: who is alone is guilty.
         for task in suspects:
+            alone = as_completed([client.submit(_each, work, [task], pure=False)], loop=client.loop)
             try:
-                result = client.submit(_each, work, [task], pure=False).result()[0]
+                result = next(_bounded(alone, threads)).result()[0]
             except KilledWorker:
                 result = None
             yield task, result
@@ -156,7 +175,17 @@ def _through(
         ) from error
 
 
-def _await_worker(client: Client, scheduler: str | None) -> None:
+def _bounded(arriving: as_completed, threads: _Threads) -> Iterator[Future]:
+    """What arrives, as it does. Raises GroundStationError where nobody is left to do the rest."""
+    while not arriving.is_empty():
+        if arriving.has_ready():
+            yield next(arriving)
+        else:
+            threads.require()
+            time.sleep(POLL_S)
+
+
+def _await_worker(client: Client, scheduler: str) -> None:
     """For some seconds; tells where there is still none."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
@@ -194,6 +223,9 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
         "distributed.logging": {"distributed": "critical"},
         # Nobody looks at the samples of the workers' stacks: 4 % of their time.
         "distributed.worker.profile.enabled": False,
+        # Dask gives up a worker that is not there 15 s after it died, it may have died again, and
+        # begins no other. Nobody would do the rest.
+        "distributed.deploy.lost-worker-timeout": LOST_S,
         # Dask has a worker give memory back at once; as much time again as the work.
         "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEPT_BYTES,
         "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": KEPT_BYTES,

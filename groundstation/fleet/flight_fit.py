@@ -100,9 +100,9 @@ def _told(
     from groundstation.identification.recordings import bridged
     from groundstation.identification.stretches import stretches_of
     from groundstation.recording.craft_family import vehicle_of
-    from groundstation.recording.open_recording import open_recording
+    from groundstation.recording.open_for_analysis import open_for_analysis
 
-    recording = open_recording(path)
+    recording = open_for_analysis(path)
     profile = load_vehicle(vehicle_of([recording], vehicle) or "crazyflie1")
     runs = bridged(recording.samples, recording.path.name)
     stretches = stretches_of(runs, profile.motor)

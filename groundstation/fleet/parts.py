@@ -9,11 +9,12 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
+from groundstation.paths import written_whole
 
 Row = dict[str, Any]
 PART_ROWS = 10_000
@@ -136,14 +137,11 @@ class Parts:
         import pyarrow.parquet as pq
 
         path = self._path(number)
-        beside = path.with_suffix(".new")
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            pq.write_table(table, beside, compression="zstd")
-            os.replace(beside, path)
+            with written_whole(path) as file:
+                pq.write_table(table, file, compression="zstd")
         except OSError as error:
-            with suppress(OSError):
-                beside.unlink()
             why = os.strerror(error.errno) if error.errno else str(error)
             raise RecordingError(
                 f"{path}: cannot be written: {why}; what came before is kept, run it again when"

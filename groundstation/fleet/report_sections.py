@@ -63,14 +63,15 @@ def add_effects(page: Page, searched: Mapping[str, Row]) -> None:
 
 def to_fly(fleet: Fleet, searched: Mapping[str, Row]) -> dict[str, list[str]]:
     """Craft -> what to fly next, because its fits do not tell: manoeuvre, and for what."""
-    from groundstation.control.uncertainty import MOST_STDERR, RECORD
+    from groundstation.control.uncertainty import RECORD
+    from groundstation.dynamics.suitability import CONSTANT, MOST_STDERR
 
     found: dict[str, list[str]] = {}
     known = {(one.craft, one.quantity): one for one in fleet.values}
     for craft in sorted({one.craft for one in fleet.series}):
-        for name, most in MOST_STDERR.items():
+        for name in CONSTANT.values():
             value = known.get((craft, name))
-            if value is None or value.stderr > most * abs(value.value):
+            if value is None or value.stderr > MOST_STDERR * abs(value.value):
                 found.setdefault(craft, []).append(f"{RECORD[name]} (for {name})")
     for craft, row in searched.items():
         for manoeuvre, names in _by_manoeuvre(row["to_fly"] or ()).items():

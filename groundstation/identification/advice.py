@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from groundstation.dynamics.meanings import title_of
+from groundstation.dynamics.model import Model
+from groundstation.dynamics.suitability import DESIGN, Use, suitability, verdict
 from groundstation.report.page import Advice
 from groundstation.text import listed
 
-DESIGN, FIRST_DESIGN = 0.1, 0.35
-"""Standard errors over the value: up to which a constant bears a design as it is, and up to which
-one that keeps margins for it."""
 SLOW_HZ = 400.0
 """Below, samples do not show every setting of the motors."""
-AXIS = {"c0": "roll", "c1": "pitch", "c2": "yaw"}
 MOVES = {
     "c0": ("roll", "fly roll doublets of 10 degrees and more, several a second"),
     "c1": ("pitch", "fly pitch doublets of 10 degrees and more, several a second"),
@@ -24,32 +23,21 @@ MOVES = {
 }
 
 
-def good_for(account: Mapping[str, Any]) -> tuple[str, str]:
-    """What was found and how sure, with what that is good for, and what kind of verdict it is."""
+def good_for(model: Model, account: Mapping[str, Any]) -> tuple[str, str]:
+    """What a fit found and how sure, with what that is good for, and what kind of verdict it is.
+    account: the fit's, which the model's own need not have yet."""
     if account["what"] == "motor":
         return _motor(account)
     if account["what"] == "arx":
         return _arx(account)
-    shares = _shares(account)
-    unknown = [AXIS[name] for name in account.get("not_identified", {}) if name in AXIS]
-    known = {AXIS[name]: share for name, share in shares.items() if name in AXIS}
-    known = {axis: share for axis, share in known.items() if axis not in unknown}
-    good = [axis for axis, share in known.items() if share <= DESIGN]
-    fair = [axis for axis, share in known.items() if DESIGN < share <= FIRST_DESIGN]
-    poor = [axis for axis, share in known.items() if share > FIRST_DESIGN]
-    found = ", ".join(f"{axis} to {100 * share:.2g} %" for axis, share in known.items())
-    parts = []
-    if good:
-        parts.append(f"good enough to design {listed(good)} with")
-    if fair:
-        parts.append(f"{listed(fair)}: enough for a first, cautious design")
-    if poor:
-        parts.append(f"{listed(poor)}: for a rough simulation only")
-    if unknown:
-        parts.append(f"{listed(unknown)} was not identified (the file has the profile's value)")
-    kind = "good" if not (fair or poor or unknown) else "bad" if not (good or fair) else "neutral"
-    words = "; ".join(parts)
-    return f"{words[:1].upper()}{words[1:]}. Known, by standard error: {found or 'none'}.", kind
+    found = suitability(msgspec.structs.replace(model, fit={"body": dict(account)}))
+    shares = [(axis, one.share) for axis, one in found.items() if one.use != Use.NOTHING]
+    known = ", ".join(f"{axis} to {100 * share:.2g} %" for axis, share in shares if share)
+    uses = [one.use for one in found.values()]
+    kind = "good" if min(uses) == Use.DESIGN else "neutral"
+    if max(uses) < Use.FIRST_DESIGN:
+        kind = "bad"
+    return f"{verdict(found)}. Known, by standard error: {known or 'none'}.", kind
 
 
 def next_of(account: Mapping[str, Any]) -> str:
@@ -62,7 +50,7 @@ def next_of(account: Mapping[str, Any]) -> str:
         names = listed([title_of(name) for name in left])
         return f"what these flights show besides ({names}) into the file: {_again(account, left)}"
     if weak := _weakest(account):
-        return f"{weak[1]}, and fit both recordings together."
+        return f"{_remedy(account, weak)}, and fit both recordings together."
     return "look for what is missing: groundstation discrepancy, with another flight as --validate."
 
 
@@ -82,12 +70,12 @@ def advice_of(account: Mapping[str, Any], failed: Sequence[str]) -> list[Advice]
     found = []
     shares = _shares(account)
     for name, reason in account.get("not_identified", {}).items():
-        axis, fly = MOVES[name]
+        axis = MOVES[name][0]
         found.append(
             Advice(
                 f"{axis.capitalize()} is not identified: {reason}",
                 f"The file has the profile's {name}; its {axis} is a guess",
-                fly.capitalize(),
+                _remedy(account, name).capitalize(),
             )
         )
     for name, share in shares.items():
@@ -128,7 +116,7 @@ def _motor(account: Mapping[str, Any]) -> tuple[str, str]:
     if held:
         fits = [one["rotor_fit_percent"] for one in held]
         text += f", and its speed on unseen data fits by {min(fits):.1f} %"
-    good = share <= DESIGN
+    good = share <= DESIGN and not (held and min(fits) < 0.0)
     return f"{text}: {'good enough for body fits and design' if good else 'a start'}.", (
         "good" if good else "bad"
     )
@@ -140,9 +128,9 @@ def _arx(account: Mapping[str, Any]) -> tuple[str, str]:
         axis for axis, one in account["axes"].items() if not one["cross_correlation"]["passes"]
     ]
     left = (
-        f"; the input still shows in what is left of {listed(failed)}: good for a first look only"
+        f"; the input still shows in what is left of {listed(failed)}: for a first, cautious design"
         if failed
-        else "; nothing of the input is left: good to predict and to design with"
+        else "; nothing of the input is left: good enough to design with"
     )
     return f"Chosen: {chosen}{left}.", "bad" if failed else "good"
 
@@ -157,15 +145,19 @@ def _shares(account: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def _weakest(account: Mapping[str, Any]) -> tuple[str, str] | None:
-    """The axis that is known worst, where that is not good enough, and what to fly."""
+def _weakest(account: Mapping[str, Any]) -> str | None:
+    """The constant that is known worst, where that is not good enough."""
     unknown = account.get("not_identified", {})
     shares = {
         name: np.inf if name in unknown else share
         for name, share in _shares(account).items()
         if name in MOVES
     }
-    if not shares:
-        return None
-    name = max(shares, key=lambda one: shares[one])
-    return MOVES[name] if shares[name] > DESIGN else None
+    name = max(shares, key=lambda one: shares[one], default=None)
+    return name if name is not None and shares[name] > DESIGN else None
+
+
+def _remedy(account: Mapping[str, Any], name: str) -> str:
+    """What to fly, or to record where no manoeuvre helps, so that a constant is told."""
+    record = account.get("record", {}).get(name)
+    return f"record {record}" if record else MOVES[name][1]

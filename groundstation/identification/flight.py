@@ -37,16 +37,14 @@ class Flight:
     airborne rows. attitude: on the rows on which it was new, within the stretch. height_m: (n,)
     above the take-off point where it can be told, otherwise infinite. whole: the airborne rows,
     from rest and to rest where the flight began or ended on the ground; rests says whether it
-    did. rotor_measured: rotor speeds were recorded. gaps: rows of the stretch that were lost. up:
-    mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
-    None without accelerometer or attitude. carried: (n, 3) attitude that owes little to the
-    accelerometer, None without attitude. force_between: rows of the accelerometer are means of
-    readings half a row before and half a row after. orientation, carried_orientation: (4, n)
-    quaternions of the reported attitude and of ``carried`` (or else of the reported one), and
-    upward: (last - first, 3) the vertical in sensor axes; level without attitude. rotors: measured
-    speeds, squared, None where they are not.
-
-    Raises BadInputError where speeds are measured in some rows and not in others.
+    did. rotor_measured: speeds of all rotors were recorded throughout. gaps: rows of the stretch
+    that were lost. up: mean over ``whole`` of the vertical in sensor axes (3,) and of the specific
+    force along it, None without accelerometer or attitude. carried: (n, 3) attitude that owes
+    little to the accelerometer, None without attitude. force_between: rows of the accelerometer are
+    means of readings half a row before and half a row after. orientation, carried_orientation:
+    (4, n) quaternions of the reported attitude and of ``carried`` (or else of the reported one),
+    and upward: (last - first, 3) the vertical in sensor axes; level without attitude. rotors:
+    measured speeds, squared, None where they are not.
     """
 
     run: Run
@@ -113,13 +111,13 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
         raise BadInputError(
             f"{raw.name}: the gyro is missing; without body rates no effect can be told"
         )
-    measured = bool(np.isfinite(raw.rotor_rev_s).any())
+    run = without_gaps(raw)
+    measured = bool(np.isfinite(run.rotor_rev_s).all())
     for name in () if measured else ("duty", "supply_v"):
         if not np.isfinite(getattr(raw, name)).any():
             require_known(raw, (name,), "the motors need it")
     has_accelerometer = bool(np.isfinite(raw.accelerometer).any())
     has_attitude = bool(np.isfinite(raw.attitude).any())
-    run = without_gaps(raw)
     period, flights = run.period_s, []
     for air in flights_in(run):
         first, last, rests = air.first, air.last - air.maybe_low, air.rests

@@ -18,6 +18,8 @@ ANGLES, BESIDE_GYRO = 0.05, 0.1
 """Power of the angles' rates in the first band over that in the second, at most, and the same over
 the gyro's: 0.005 and 0.01 for angles made of the gyro, 0.02 and 0.05 for angles with noise of their
 own (stand-in); without a mean 0.3 and more, and 0.5 and more."""
+SEGMENT_ROWS = 256
+"""Of the power's segments, scipy's own; it warns on the terminal where rows are fewer."""
 FORCE = 0.02
 """The same of the accelerometer, on each axis: 0.005 (stand-in's 2.1); without a mean 0.07 and more
 (logs of real flights)."""
@@ -52,7 +54,7 @@ def _left(rows: Array) -> Array:
     """Power (3,) in the first band over that in the second; 1 where there is none."""
     from scipy.signal import welch
 
-    power = welch(rows, axis=0)[1]
+    power = welch(rows, axis=0, nperseg=min(SEGMENT_ROWS, len(rows)))[1]
     place = np.linspace(0.0, 1.0, len(power))
     top, middle = (power[(low <= place) & (place <= high)].mean(axis=0) for low, high in BANDS)
     return np.asarray(np.divide(top, middle, out=np.ones(3), where=middle > 0.0))

@@ -24,14 +24,17 @@ from groundstation.identification.runs import (
     run_of,
     uninterrupted,
     with_possible_duty,
+    with_readings,
 )
-from groundstation.telemetry.masks import filled
+from groundstation.telemetry.masks import filled, spans
 from groundstation.telemetry.renewal import HELD, SETTINGS_HZ, renewals, slower_than_rows
 from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch
 
 LONGEST_GAP_S = 0.1
 """A longer silence ends a run: the motors' inputs are no longer known."""
+ESSENTIAL = ("duty", "accelerometer")
+"""Channels whose longer silences end a run, where they read elsewhere; the gyro's any does."""
 LEAST_S = 5.0
 SOURCES = {
     "duty": "what the motors are set to",
@@ -51,7 +54,8 @@ def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -
     inertial telemetry.
     """
     label = name or "recording"
-    whole = renewed(on_even_grid(with_possible_duty(samples, label)), label)
+    possible = with_readings(with_possible_duty(samples, label), ESSENTIAL, LONGEST_GAP_S)
+    whole = renewed(on_even_grid(possible), label)
     read: NDArray[np.bool_] = np.asarray(np.isfinite(whole.gyro).all(axis=1))
     if read.any() and not read.all():
         whole = whole[read]
@@ -107,7 +111,8 @@ def renewal_notes(samples: SampleBatch, name: str) -> list[str]:
 def _slowest(samples: SampleBatch) -> tuple[str, float]:
     """The slower of gyro and, where no speeds were measured, motors' settings, and how many rows
     its values stand."""
-    names = ["gyro"] if np.isfinite(samples.rotor_rev_s).any() else list(SOURCES)
+    speeds = np.isfinite(samples.rotor_rev_s).any(axis=0).all()
+    names = ["gyro"] if speeds else list(SOURCES)
     found = {name: slower_than_rows(renewals(getattr(samples, name))) for name in names}
     return max(found.items(), key=lambda one: one[1])
 
@@ -169,6 +174,13 @@ def bridged(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> l
 
 
 def without_gaps(run: Run) -> Run:
-    """The run with its missing rows filled in, for what needs every row."""
+    """The run with its missing rows filled in, for what needs every row.
+
+    Measured speeds drive the rotors: silences longer than ``LONGEST_GAP_S`` are not filled.
+    """
     parts: dict[str, Any] = {name: filled(getattr(run, name)) for name in CHANNELS}
+    for rotor, silent in enumerate(~np.isfinite(run.rotor_rev_s.T)):
+        for first, last in spans(silent):
+            if (last - first) * run.period_s > LONGEST_GAP_S:
+                parts["rotor_rev_s"][first:last, rotor] = np.nan
     return replace(run, **parts)

@@ -46,7 +46,7 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         f"{account['method']}, {account['samples']} samples of {names}{chosen}; made by"
         f" {model.created_by}",
     )
-    page.verdict(*good_for(account))
+    page.verdict(*good_for(model, account))
     page.next_step(next_of(account))
     failed = [one.channel for one in evidence.residuals if not one.cross.passes]
     page.advice(advice_of(account, failed), account["warnings"])

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from groundstation.dynamics.model import Model
+from groundstation.dynamics.suitability import is_unusual, profile_constants
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 
-UNLIKE, UNUSUAL = 5.0, 2.5
-"""Times the profile's value, or one over it, that no craft of the profile has, and that is worth a
-word: measured constants of one type of craft lie within a half of each other."""
+UNLIKE = 5.0
+"""Times the profile's value, or one over it, that no craft of the profile has; one beyond
+``suitability.UNUSUAL`` is worth a word."""
 FREE = ("c2", "a1", "a2")
 """Constants that differ more from craft to craft, with the propellers and what drags on them: they
 are worth a word where others are none, and the rest of the model stands."""
@@ -61,7 +62,7 @@ def no_results(
         told = account.get("not_identified", {})
         if name in told:
             continue
-        start, usual = _starts(before, vehicle).get(name), _usual(vehicle).get(name)
+        start, usual = _starts(before, vehicle).get(name), profile_constants(vehicle).get(name)
         if not np.isfinite(value) or not np.isfinite(error):
             reasons.append(f"{name} is {value:.3g} +- {error:.2g}")
         elif error == 0.0:
@@ -69,10 +70,10 @@ def no_results(
             reasons.append(f"{name} stands at {value:.4g}{at} and nothing tells its error")
         elif start is not None and _is_at(value, start):
             reasons.append(f"{name} did not move from where it began, {value:.4g}")
-        elif usual and not 1 / UNLIKE < value / usual < UNLIKE:
+        elif usual and is_unusual(value, usual, UNLIKE):
             line = f"{name} is {value:.3g}, and {usual:.3g} by the profile {vehicle.name!r}"
             (doubts if name in FREE else reasons).append(line)
-        elif usual and not 1 / UNUSUAL < value / usual < UNUSUAL:
+        elif usual and is_unusual(value, usual):
             doubts.append(f"{name} is {value:.3g}, and {usual:.3g} by the profile {vehicle.name!r}")
     for name, percent, decides in _fits(account.get("validation")):
         if percent < 0.0:
@@ -116,20 +117,9 @@ def _is_at(value: float, start: float) -> bool:
     return abs(value - start) <= AWAY * abs(start)
 
 
-def _usual(vehicle: Vehicle) -> dict[str, float]:
-    """What the profile says of each constant that a fit finds."""
-    motor = vehicle.motor
-    names = ("c0", "c1", "c2")
-    return {
-        **dict(zip(names, vehicle.body_constants, strict=True)),
-        "thrust_per_mass": vehicle.thrust_per_mass,
-        **{"a0": motor.a0, "a1": motor.a1, "a2": motor.a2},
-    }
-
-
 def _starts(before: Model, vehicle: Vehicle) -> dict[str, float]:
     """Where a fit began: the model's constants, or else the profile's."""
-    found = _usual(vehicle)
+    found = profile_constants(vehicle)
     motor, body = before.motor, before.body
     found |= {"a0": motor.a0, "a1": motor.a1, "a2": motor.a2}
     if body is not None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
 from groundstation.identification.supply_answer import at_the_rows_voltage
+from groundstation.telemetry.masks import spans
 from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch
 
@@ -99,13 +100,13 @@ CHANNELS = tuple(f.name for f in fields(Run) if f.name not in SCALARS)
 def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[Run]:
     """The runs of a recording that last at least ``least_s`` seconds, in order of time.
 
-    A row with an impossible duty counts as lost, and rows that a host stamped stand where their
-    craft took them. Raises BadInputError where no run is long enough,
-    or where the rate is not one of inertial telemetry.
+    A row with an impossible duty counts as lost, one in which gyro or duty do not read as well, and
+    rows that a host stamped stand where their craft took them. Raises BadInputError where no run is
+    long enough, or where the rate is not one of inertial telemetry.
     """
     label = name or "recording"
     start = float(samples.time_s[0]) if len(samples) else 0.0
-    samples = on_even_grid(with_possible_duty(samples, label))
+    samples = on_even_grid(with_readings(with_possible_duty(samples, label), ("gyro", "duty")))
     found = []
     for rows in uninterrupted(samples, label, least_s, _uneven):
         part = samples[rows]
@@ -194,6 +195,22 @@ def with_possible_duty(samples: SampleBatch, label: str) -> SampleBatch:
             " given; say in the column map how large full duty is"
         )
     return samples[~beyond]
+
+
+def with_readings(
+    samples: SampleBatch, names: Sequence[str], longest_s: float = 0.0
+) -> SampleBatch:
+    """The rows without those in which a channel does not read, for longer than so many seconds,
+    that reads elsewhere: what was rejected there cannot be bridged."""
+    lost = np.zeros(len(samples), np.bool_)
+    usual_s = float(np.median(np.diff(samples.time_s))) if len(samples) > 1 else 0.0
+    for name in names:
+        known = np.isfinite(getattr(samples, name))
+        missing = ~known[:, known.any(axis=0)].all(axis=1)
+        for first, last in spans(missing):
+            if (last - first) * usual_s > longest_s:
+                lost[first:last] = True
+    return samples[~lost] if lost.any() else samples
 
 
 def uninterrupted(

@@ -44,7 +44,7 @@ def identified(one: Identified) -> Shown:
         pictures[f"residuals of {each.channel}"] = partial(residual, each)
     if one.evidence.steps:
         pictures["step responses"] = partial(steps, one.evidence.steps)
-    return Shown(f"{one}: {good_for(one.account)[0]}", columns, one.warnings, pictures)
+    return Shown(f"{one}: {good_for(one.model, one.account)[0]}", columns, one.warnings, pictures)
 
 
 def replayed(one: Replayed) -> Shown:

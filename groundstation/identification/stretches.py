@@ -59,7 +59,7 @@ def stretches_of(
     Raises BadInputError where less than 4 s are left, or where the gyro is missing.
     """
     found: list[Stretch] = []
-    for run in runs:
+    for run in _with_speeds(runs) if measured else runs:
         require_known(run, ("gyro",), "without body rates nothing can be fitted")
         squares = measured_squares(run) if measured else rotor_squares(run, motor)
         chosen = airborne(run) & selected(run, selection)
@@ -76,6 +76,18 @@ def stretches_of(
             + (" or choose more of it" if wanted else "")
         )
     return found
+
+
+def _with_speeds(runs: Sequence[Run]) -> list[Run]:
+    """The parts of runs in which every rotor's speed was measured; runs as they are where none
+    was."""
+    parts = [
+        run[first:last]
+        for run in runs
+        for first, last in spans(np.isfinite(run.rotor_rev_s).all(axis=1))
+        if (last - first) * run.period_s >= PIECE_S
+    ]
+    return parts or list(runs)
 
 
 def quicker(motor: MotorConstants, factor: float) -> MotorConstants:

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound, PossibleEffect
+from groundstation.documents import decode_json, read_document
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.unknowns import to_point
+from groundstation.errors import BadInputError
 from groundstation.identification.likelihood.parameters import KEYS
 
 WORTH = 0.1
@@ -19,7 +20,11 @@ WORTH = 0.1
 
 
 def read_found(path: Path) -> DiscrepancyReport:
-    return msgspec.json.decode(path.read_bytes(), type=DiscrepancyReport)
+    """The findings in a file. Raises BadInputError."""
+    try:
+        return decode_json(read_document(path), DiscrepancyReport)
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"{path}: cannot be read ({error}); remove it") from error
 
 
 def named_effects(found: DiscrepancyReport) -> list[EffectFound]:

@@ -18,9 +18,11 @@ from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.learn.journal import Landed
 from groundstation.learn.manoeuvres import Limits
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.open_for_analysis import open_for_analysis
 
 CLIENT = "learn"
+OVERSHOOT_MORE = 5.0
+"""Points of a step by which an axis may overshoot more than with the gains before."""
 BUDGET = Budget(first=120, population=16, generations=20)
 ANGLE_DEG, HOLD_S, REPEATS = 10.0, 0.7, 2
 BEFORE, AFTER = "steps_before.mcap", "steps_after{}.mcap"
@@ -32,8 +34,13 @@ class StepFlight(Programme):
 
     purpose = "doublets, to see how the gains follow"
 
+    @property
+    def seconds(self) -> float:
+        return self.held_seconds
+
     def timeline(self) -> list[dict[str, Any]]:
-        return [{"at_s": 0.0, "seconds": self.seconds, "fly": f"{self.repeats} doublets an axis"}]
+        fly = f"{self.repeats} doublets an axis"
+        return [{"at_s": 0.0, "seconds": self.seconds, "fly": fly}]
 
 
 def step_flight(limits: Limits) -> StepFlight:
@@ -65,7 +72,7 @@ def designed_gains(model: Model) -> dict[str, float]:
 
 def flown_steps(folder: Path, flight: Landed, model: Model) -> Flown:
     """The doublets of a flight, measured, and as a model predicts them."""
-    return analyse_recording(open_recording(folder / flight.file), model, flight.gains, CLIENT)
+    return analyse_recording(open_for_analysis(folder / flight.file), model, flight.gains, CLIENT)
 
 
 def missed(axis: FlownAxis) -> float:
@@ -79,10 +86,28 @@ def mean_missed(flown: Flown) -> float:
 
 
 def of_better_axes(gains: dict[str, float], before: Flown, after: Flown) -> dict[str, float]:
-    """The gains of those axes that followed their steps more closely with them."""
-    better = [new.axis for old, new in zip(before.axes, after.axes, strict=True)
-              if missed(new) < missed(old)]  # fmt: skip
+    """The gains of those axes that followed their steps more closely with them, and overshot them
+    by no more than ``OVERSHOOT_MORE`` points more."""
+    axes = zip(before.axes, after.axes, strict=True)
+    better = {new.axis for old, new in axes if missed(new) < missed(old)
+              and overshoots_more(old, new) <= OVERSHOOT_MORE}  # fmt: skip
     return {name: value for name, value in gains.items() if axis_of(name) in better}
+
+
+def overshoots_more(before: FlownAxis, after: FlownAxis) -> float:
+    """By how many points of the step."""
+    return after.measured.overshoot_pct - before.measured.overshoot_pct
+
+
+def told_overshoots(before: Flown, after: Flown) -> str:
+    """Of every axis before and after, in words, with what the model predicted."""
+    parts = []
+    for old, new in zip(before.axes, after.axes, strict=True):
+        says = "" if new.predicted is None else f" ({new.predicted.overshoot_pct:.0f} predicted)"
+        parts.append(
+            f"{new.axis} {old.measured.overshoot_pct:.0f} to {new.measured.overshoot_pct:.0f}{says}"
+        )
+    return f"overshoot in %: {', '.join(parts)}"
 
 
 def axis_of(gain: str) -> str:

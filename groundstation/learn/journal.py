@@ -8,7 +8,9 @@ from typing import Any
 import msgspec
 
 from groundstation.control.programme import LOW_BATTERY
+from groundstation.documents import decode_json, read_document
 from groundstation.errors import BadInputError
+from groundstation.paths import write_whole
 
 JOURNAL = "learn.json"
 
@@ -35,8 +37,31 @@ class Landed(msgspec.Struct, frozen=True, kw_only=True):
     gains: dict[str, float] = {}
 
 
+class Craft(msgspec.Struct, frozen=True, kw_only=True):
+    """What a craft behind the daemon says of itself. firmware: whose loops it flies. id: its own
+    number; empty where it does not say."""
+
+    uri: str
+    vehicle: str
+    firmware: str
+    id: str
+
+    def is_same(self, other: Craft) -> bool:
+        """By number, vehicle and firmware; by its address where none says a number."""
+        if self.id and other.id:
+            where = self.id == other.id
+        else:
+            where = not (self.id or other.id) and self.uri == other.uri
+        return where and (self.vehicle, self.firmware) == (other.vehicle, other.firmware)
+
+    def __str__(self) -> str:
+        number = f", number {self.id}" if self.id else ""
+        return f"{self.vehicle or 'a craft'} at {self.uri}, firmware {self.firmware}{number}"
+
+
 class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What was asked for, and stays so when it goes on. hide: a seed, or None."""
+    """What was asked for, and stays so when it goes on. hide: a seed, or None. craft: the daemon's
+    that is learnt, None before it was there and for a software craft."""
 
     link: str
     vehicle: str
@@ -45,6 +70,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     seed: int
     batteries: int
     hide: int | None = None
+    craft: Craft | None = None
 
 
 class Journal(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -77,11 +103,10 @@ class Journal(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
         return sum(one.seconds for one in self.flights if one.battery == self.batteries)
 
     def save(self, folder: Path) -> None:
-        """Whole or not at all."""
-        partial = folder / f".{JOURNAL}"
+        """Whole or not at all. Raises BadInputError."""
         try:
-            partial.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=1))
-            partial.replace(folder / JOURNAL)
+            text = msgspec.json.format(msgspec.json.encode(self), indent=1)
+            write_whole(folder / JOURNAL, text, durable=True)
         except OSError as error:
             raise BadInputError(
                 f"{folder / JOURNAL}: cannot be written: {error.strerror}"
@@ -95,10 +120,11 @@ def journal_in(folder: Path) -> Journal | None:
     """
     path = folder / JOURNAL
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Journal)
+        return decode_json(read_document(path), Journal)
     except FileNotFoundError:
         return None
-    except (OSError, msgspec.DecodeError) as error:
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
         raise BadInputError(
-            f"{path}: cannot be read ({error}); learn in another folder with -o"
+            f"{path}: cannot be read ({why}); learn in another folder with -o"
         ) from error

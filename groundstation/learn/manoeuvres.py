@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.programme import GRAVITY, RATE_HZ
+from groundstation.control.flight_watch import SPEED_M_S
+from groundstation.control.holding import AHEAD_S, NEAR_M, REST_S
+from groundstation.control.programme import HELD_S, RATE_HZ, carried_m, heading_rad
 from groundstation.errors import BadInputError
 
 Array = NDArray[np.float64]
 
-REST_S = 1.0
-"""Level flight before the first manoeuvre, between them and after the last."""
-TAKE_OFF_S, LANDING_S = 3.0, 2.0
+TAKE_OFF_S, LANDING_S = 4.0, 3.0
+"""Until its hover is known, and down from 0.5 m."""
 PREFLIGHT_S = 4.0
-"""What a flight takes beside its programme: on the ground, up and down."""
+"""What a flight takes beside its programme: on the ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +40,16 @@ class Limits:
         """The largest step of height: up and down by it leaves half the height below."""
         return min(0.2, 0.4 * self.height_m)
 
+    def within(self, table: Array) -> float:
+        """What leans are multiplied with, 1 at most, so that a craft that begins near its place can
+        brake within its space at any time."""
+        most = (self.reach_m - NEAR_M) / max(carried_m(table, AHEAD_S), 1e-9)
+        return min(1.0, self.tilt_deg / max(np.abs(table[:, :2]).max(), 1e-9), most)
+
     def lean(self, wanted_deg: float, hold_s: float) -> float:
-        """An angle that carries the craft no further than its space when held for so long."""
-        most = math.degrees(math.atan(self.reach_m / (GRAVITY * hold_s**2)))
-        return min(wanted_deg, self.tilt_deg, most)
+        """An angle that a doublet may have whose levels are held for so long."""
+        held = np.ones((round(hold_s * RATE_HZ), 1))
+        return wanted_deg * self.within(np.vstack([held, -held]) * [wanted_deg, 0.0, 0.0])
 
 
 def require_limits(limits: Limits) -> None:
@@ -67,6 +74,11 @@ class Manoeuvre:
     def seconds(self) -> float:
         return len(self.table) / RATE_HZ
 
+    @property
+    def held_s(self) -> float:
+        """Until the craft is back and rests, about."""
+        return self.seconds + HELD_S
+
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
@@ -75,22 +87,24 @@ class FlightPlan:
     manoeuvres: tuple[Manoeuvre, ...]
     purpose: str
 
-    def setpoints(self) -> Array:
-        """Of every 10 ms, (k, 4)."""
-        rest = np.zeros((round(REST_S * RATE_HZ), 4))
-        return np.vstack([rest, *(part for one in self.manoeuvres for part in (one.table, rest))])
+    rest_s = REST_S
+    speed_most_m_s = SPEED_M_S
+
+    def parts(self) -> list[tuple[str, Array]]:
+        """Name and table of each manoeuvre."""
+        return [(one.name, one.table) for one in self.manoeuvres]
 
     @property
     def seconds(self) -> float:
-        """In the air."""
-        return TAKE_OFF_S + len(self.setpoints()) / RATE_HZ + LANDING_S
+        """In the air, about."""
+        return TAKE_OFF_S + sum(one.held_s for one in self.manoeuvres) + LANDING_S
 
     def timeline(self) -> list[dict[str, Any]]:
-        """When to fly what: ``at_s`` from the end of the take-off, ``seconds``, ``fly``."""
-        rows, at_s = [], REST_S
+        """When to fly what: ``at_s`` from the end of the take-off, about, ``seconds``, ``fly``."""
+        rows, at_s = [], 0.0
         for one in self.manoeuvres:
             rows.append({"at_s": at_s, "seconds": one.seconds, "fly": one.name})
-            at_s += one.seconds + REST_S
+            at_s += one.held_s
         return rows
 
 
@@ -102,7 +116,7 @@ def library(limits: Limits, seed: int = 0) -> dict[str, Manoeuvre]:
     doublet = np.repeat([1.0, -1.0, 0.0, -1.0, 1.0, 0.0] * 2, RATE_HZ // 2)
     sweep = np.cos(2 * math.pi * (0.6 * time + (5.0 - 0.6) * time**2 / 12.0))
     to_and_fro = np.cos(2 * math.pi * time / 2.0)
-    steps = np.repeat([1.0, -1.0, 1.0, 0.0, -1.0, 0.0], RATE_HZ)
+    steps = np.repeat([1.0, 0.0, -1.0, 0.0, 1.0, 0.0], RATE_HZ)
     random = np.random.default_rng(seed)
     tilt = limits.tilt_deg
 
@@ -117,13 +131,9 @@ def library(limits: Limits, seed: int = 0) -> dict[str, Manoeuvre]:
         roll, pitch, yaw, above = (
             axes.get(one, still) for one in ("roll", "pitch", "yaw", "above")
         )
-        lean = (pitch - 1j * roll) * np.exp(-1j * _heading(yaw))
+        lean = (pitch - 1j * roll) * np.exp(-1j * heading_rad(yaw))
         table = np.column_stack([-lean.imag, lean.real, yaw, above])
-        table[:, :2] *= min(
-            1.0,
-            limits.tilt_deg / max(np.abs(table[:, :2]).max(), 1e-9),
-            limits.reach_m / max(carried_m(table), 1e-9),
-        )
+        table[:, :2] *= limits.within(table)
         return Manoeuvre(name, table)
 
     back = (1.0, -1.0, -1.0, 1.0)
@@ -142,23 +152,9 @@ def library(limits: Limits, seed: int = 0) -> dict[str, Manoeuvre]:
            roll=0.75 * tilt * np.roll(doublet, RATE_HZ // 2)),
         of("all axes at random", roll=0.75 * tilt * levels(0.25, *back), pitch=0.75 * tilt
            * levels(0.3, *back), yaw=60.0 * levels(0.5, 1.0, -1.0), above=limits.step_m
-           * levels(1.5, 1.0)),
+           * levels(1.0, 1.0, 0.0)),
     ]  # fmt: skip
     return {one.name: one for one in made}
-
-
-def carried_m(table: Array) -> float:
-    """How far leans carry a craft that nothing slows down from where it was, at most, until the
-    end of the rest that follows."""
-    roll, pitch, yaw = np.vstack([table[:, :3], np.zeros((RATE_HZ, 3))]).T
-    pushed = np.tan(np.radians(pitch)) - 1j * np.tan(np.radians(roll))
-    moved = np.cumsum(np.cumsum(GRAVITY * pushed * np.exp(1j * _heading(yaw)))) / RATE_HZ**2
-    return float(np.abs(moved).max())
-
-
-def _heading(yaw_dps: Array) -> Array:
-    """Of every row of a table, rad from its begin."""
-    return np.asarray(np.radians(np.cumsum(yaw_dps)) / RATE_HZ)
 
 
 HOVER = ("hover", "thrust steps", "yaw steps")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,9 @@ import msgspec
 
 from groundstation.control.step_analysis import Flown as Steps
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
+from groundstation.documents import decode_toml, read_document
 from groundstation.dynamics.model import Model, load_model
+from groundstation.errors import BadInputError
 from groundstation.learn.found import named_effects, open_names, read_found, said_effect
 from groundstation.learn.gains import flown_steps, mean_missed
 from groundstation.learn.journal import Journal
@@ -132,16 +133,23 @@ def outcome_of(journal: Journal, folder: Path) -> Outcome:
 
 
 def _hidden(folder: Path, found: DiscrepancyReport | None) -> tuple[Size, ...]:
-    text = (folder / "sealed.toml").read_text(encoding="utf-8")
+    path = folder / "sealed.toml"
+    try:
+        effects = decode_toml(read_document(path), dict)["stand_in"]["effects"]
+        true_sizes = [
+            (effect, name, float(true))
+            for effect, parameters in effects.items()
+            for name, true in parameters.items()
+            if name != "rotor"
+        ]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise BadInputError(f"{path}: does not say what was hidden ({error})") from error
     named = {} if found is None else {one.name: one.parameters for one in found.effects}
     sizes = []
-    for effect, parameters in tomllib.loads(text)["stand_in"]["effects"].items():
-        for parameter, true in parameters.items():
-            if parameter == "rotor":
-                continue
-            one = named.get(effect, {}).get(parameter)
-            value, stderr = (None, None) if one is None else (one.value, one.stderr)
-            sizes.append(Size(effect, parameter, float(true), value, stderr))
+    for effect, parameter, true in true_sizes:
+        one = named.get(effect, {}).get(parameter)
+        value, stderr = (None, None) if one is None else (one.value, one.stderr)
+        sizes.append(Size(effect, parameter, true, value, stderr))
     return tuple(sizes)
 
 

@@ -12,25 +12,23 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from groundstation.control.programme import BEGINS
+from groundstation.control.holding import REST_S
+from groundstation.control.programme import HOLDS, MANOEUVRE
+from groundstation.documents import decode_json, read_document
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.runs import Run
 from groundstation.learn.information import Choice, Information, choose, information_of
 from groundstation.learn.journal import Flown
-from groundstation.learn.manoeuvres import (
-    REST_S,
-    FlightPlan,
-    Limits,
-    Manoeuvre,
-    library,
-)
-from groundstation.recording.open_recording import open_recording
+from groundstation.learn.manoeuvres import FlightPlan, Limits, library
+from groundstation.paths import write_whole
+from groundstation.recording.open_for_analysis import open_for_analysis
+from groundstation.recording.session import Recording
 
 
 class Pilot(Protocol):
-    """Who flies, a craft or a model: ``cli.learn_flights.Place``."""
+    """Who flies, a craft or a model: ``cli.learn_flights``."""
 
     def fly(
         self,
@@ -39,7 +37,6 @@ class Pilot(Protocol):
         *,
         seed: int,
         gains: Mapping[str, float] | None = None,
-        steps: bool = False,
     ) -> Flown: ...
 
     def write(self, gains: Mapping[str, float]) -> None: ...
@@ -69,13 +66,13 @@ class Planned:
         }
 
     def write(self, path: Path) -> None:
-        path.write_text(json.dumps(self.as_dict(), indent=1) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(self.as_dict(), indent=1) + "\n")
 
     @classmethod
     def read(cls, path: Path, limits: Limits) -> Planned:
         """One that was written. Raises BadInputError."""
         try:
-            said = json.loads(path.read_bytes())
+            said = decode_json(read_document(path), dict)
             choices = tuple(
                 Choice(row["fly"], row["gain_nats"], tuple(row["tells"]))
                 for row in said["timeline"]
@@ -101,7 +98,7 @@ def plan_flight(
     manoeuvres of flights whose part in them is not known.
     """
     told = rehearsed(rehearsal, model, limits, seed, known)
-    seconds = {name: one.seconds + REST_S for name, one in library(limits).items()}
+    seconds = {name: one.held_s for name, one in library(limits).items()}
     choices = tuple(choose(told, seconds, budget_s, flown=flown))
     expected = told.errors([*flown, *(one.name for one in choices)])
     return Planned(_flight(choices, limits, seed), choices, expected, seed)
@@ -122,24 +119,30 @@ def rehearsed(
         flown = rehearsal.fly(whole, file, seed=seed)
         if flown.aborted:
             raise GroundStationError(f"the model does not fly: {flown.aborted}")
-        recording = open_recording(file)
-    (begin_ns,) = (e["time_ns"] for e in recording.events if e.get("text") == BEGINS)
+        recording = open_for_analysis(file)
+    run = max(flights_of(recording.samples), key=len)
+    return information_of(_parts(run, recording), model, known)
+
+
+def _parts(run: Run, recording: Recording) -> dict[str, Run]:
+    """The rows of each manoeuvre, from the rest before it into the stop behind it; of one that was
+    interrupted the longest piece."""
     samples = recording.samples
-    first = int(np.searchsorted(samples.host_time_ns, begin_ns))
-    begin_s = float(samples.time_s[first])
-    run = max(flights_of(samples), key=len)
-    return information_of(_parts(run, manoeuvres, begin_s), model, known)
-
-
-def _parts(run: Run, manoeuvres: tuple[Manoeuvre, ...], begin_s: float) -> dict[str, Run]:
-    """The rows of each manoeuvre with half of the rests around it."""
-    parts, at_s = {}, begin_s + REST_S
-    for one in manoeuvres:
-        low, high = np.searchsorted(
-            run.time_s, [at_s - 0.5 * REST_S, at_s + one.seconds + 0.5 * REST_S]
-        )
-        parts[one.name] = run[int(low) : int(high)]
-        at_s += one.seconds + REST_S
+    pieces: dict[str, tuple[float, float]] = {}
+    begun_s = 0.0
+    for event in recording.events:
+        if event.get("text") not in (MANOEUVRE, HOLDS):
+            continue
+        first = int(np.searchsorted(samples.host_time_ns, event["time_ns"]))
+        time_s, name = float(samples.time_s[first]), event["details"]["name"]
+        if event["text"] == MANOEUVRE:
+            begun_s = time_s
+        elif time_s - begun_s >= np.diff(pieces.get(name, (0.0, 0.0)))[0]:
+            pieces[name] = begun_s, time_s
+    parts = {}
+    for name, (begun_s, ended_s) in pieces.items():
+        low, high = np.searchsorted(run.time_s, (begun_s - REST_S, ended_s + REST_S))
+        parts[name] = run[int(low) : int(high)]
     return parts
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from groundstation.control.firmwares import firmware_of_vehicle
+from groundstation.control.flight_watch import AWAY, FAST
 from groundstation.control.gains_file import gains_text, load_gains
 from groundstation.control.pid import AXES
-from groundstation.control.programme import BY_HAND, TILTED, TURNED
+from groundstation.control.programme import BEGINS, BY_HAND, LANDS, TILTED, TURNED
 from groundstation.discrepancy.report_json import DiscrepancyReport
+from groundstation.documents import read_document
 from groundstation.dynamics.model import Model, load_model, model_vehicle
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.learn.found import found_line, known_errors, open_names, read_found
@@ -26,6 +29,7 @@ from groundstation.learn.gains import (
     mean_missed,
     of_better_axes,
     step_flight,
+    told_overshoots,
 )
 from groundstation.learn.journal import Journal, Landed
 from groundstation.learn.manoeuvres import (
@@ -39,18 +43,19 @@ from groundstation.learn.manoeuvres import (
     flight_of,
 )
 from groundstation.learn.planning import Pilot, Planned, plan_flight
-from groundstation.recording.open_recording import open_recording
+from groundstation.paths import write_whole
+from groundstation.recording.open_for_analysis import open_for_analysis
 from groundstation.shell import Shell
 from groundstation.text import listed
 
 BATTERY_S = 300.0
 """In the air on one battery: the firmware lands a Crazyflie after some 6 to 7 minutes."""
-DESIGNED_S = 45.0
+DESIGNED_S = 60.0
 """Of a flight that is designed."""
 ROUNDS = 2
 """Designed flights at most: one for everything, one for names that the first could not settle."""
 BODY_MODEL, GAINS = "body.json", "gains.toml"
-BY_GAINS = (TILTED, TURNED, BY_HAND)
+BY_GAINS = (TILTED, TURNED, BY_HAND, AWAY, FAST)
 """How the reasons begin for which a flight with new gains is their last."""
 MODEL = "model.json"
 """The last one, with what it lacked."""
@@ -58,7 +63,8 @@ PROOF_FLIGHT = "proof.mcap"
 
 
 class Learner:
-    """One craft being learnt, in a folder. say: is given every line."""
+    """One craft being learnt, in a folder. rehearse: who flies a model's file in software. say:
+    is given every line."""
 
     def __init__(
         self,
@@ -100,7 +106,7 @@ class Learner:
             self._tell(f"search{number}", partial(found_line, found))
             if not open_names(found):
                 break
-        (self.folder / MODEL).write_bytes((self.folder / model).read_bytes())
+        write_whole(self.folder / MODEL, read_document(self.folder / model))
         self._gains(model)
 
     # flights
@@ -164,10 +170,12 @@ class Learner:
 
     def _run(self, makes: str, *words: str) -> None:
         """A command, unless what it makes last is there; a page of one that was ended is not."""
-        if not (self.folder / makes).exists():
-            for left in self.folder.glob(f"{makes.partition('.')[0]}.*"):
-                left.unlink()
-            self.shell.run("groundstation", *words)
+        if (self.folder / makes).exists():
+            self.shell.keep("groundstation", *words)
+            return
+        for left in self.folder.glob(f"{makes.partition('.')[0]}.*"):
+            left.unlink()
+        self.shell.run("groundstation", *words)
 
     def _fit(self, flights: list[str]) -> None:
         vehicle = ("--vehicle", self.journal.task.vehicle)
@@ -218,15 +226,18 @@ class Learner:
             self._settle(f"none: {error}")
             return
         steps = step_flight(self.limits)
-        self._fly(BEFORE, steps, steps=True)
+        self._fly(BEFORE, steps)
         former = self._landed(BEFORE)
         journal.former = {name: former.gains[name] for name in gains}
         before = after = flown_steps(self.folder, former, loaded)
         number, flew = 0, dict[str, float]()
         while gains and gains != flew:
             number, flew = number + 1, gains
+            if wrong := self._rehearsed(self.folder / model, steps, gains):
+                self._settle(f"put back: not flown, for the model with them does not: {wrong}")
+                return
             try:
-                self._fly(AFTER.format(number), steps, steps=True, gains=gains)
+                self._fly(AFTER.format(number), steps, gains=gains)
             except GroundStationError as error:
                 if not journal.flights[-1].aborted.startswith(BY_GAINS):
                     raise  # a link that was lost, say: they fly again when it goes on
@@ -235,9 +246,9 @@ class Learner:
             after = flown_steps(self.folder, self._landed(AFTER.format(number)), loaded)
             gains = of_better_axes(gains, before, after)
         told = f"steps miss by {mean_missed(after):.3f} of their size (RMS),"
-        told += f" by {mean_missed(before):.3f} before"
+        told += f" by {mean_missed(before):.3f} before; {told_overshoots(before, after)}"
         if not gains:
-            self._settle(f"put back: {told}; worse about every axis that was changed")
+            self._settle(f"put back: {told}; no axis that was changed follows better")
             return
         self.pilot.write(gains)
         self._keep_gains(loaded, gains)
@@ -245,6 +256,16 @@ class Learner:
         told += f"; {listed(kept)} as before" if kept else ""
         journal.former = {name: former.gains[name] for name in gains}
         self._settle(f"written: {told}")
+
+    def _rehearsed(self, model: Path, steps: Any, gains: dict[str, float]) -> str:
+        """Why the identified model, in software, does not bring this flight with these gains to its
+        end; empty where it does."""
+        with tempfile.TemporaryDirectory() as folder:
+            pilot = self._rehearse(model)
+            flown = pilot.fly(steps, Path(folder) / "rehearsal.mcap", seed=1, gains=gains)
+        if not flown.aborted:
+            self._say(f"rehearsed in software, {flown.seconds:.0f} s: the model stays in its room")
+        return flown.aborted
 
     def _landed(self, file: str) -> Landed:
         flight = self.journal.good(file)
@@ -266,7 +287,7 @@ class Learner:
     def _keep_gains(self, model: Model, gains: dict[str, float]) -> None:
         """The gains file: as designed, and in the end what was written."""
         text = gains_text(gains, firmware_of_vehicle(model_vehicle(model)).name)
-        (self.folder / GAINS).write_text(text, encoding="utf-8")
+        write_whole(self.folder / GAINS, text)
 
     # words
 
@@ -279,9 +300,11 @@ class Learner:
             self._say(text)
 
     def _hover_line(self) -> str:
-        samples = open_recording(self.folder / "flight1.mcap").samples
-        begin = PREFLIGHT_S + TAKE_OFF_S
-        rows = (samples.time_s > begin) & (samples.time_s < samples.time_s[-1] - LANDING_S)
+        recording = open_for_analysis(self.folder / "flight1.mcap")
+        samples = recording.samples
+        at_ns = {event.get("text"): event["time_ns"] for event in recording.events}
+        host_ns = samples.host_time_ns
+        rows = (host_ns > at_ns[BEGINS]) & (host_ns < at_ns[LANDS])
         duty = float(np.mean(samples.duty[rows]))
         noise = float(np.degrees(np.std(np.diff(samples.gyro[rows], axis=0))) / np.sqrt(2.0))
         return (

@@ -16,18 +16,24 @@ from typing import Any
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.clock import HostClock, steady_clock
 from groundstation.links.event import EventSink, LinkEvent
+from groundstation.links.parameter_storage import ParameterStorage
 from groundstation.links.supervisor import Supervisor
+from groundstation.telemetry.log_table import LogTable
 
 THRUST_MOST = 60000
 """The firmware limits thrust to this."""
 HEIGHT_MOST_M = 3.0
 """A Z-ranger sees 4 m, indoors, and less when it leans."""
+SPEED_MOST_M_S = 2.0
+"""A Flow deck loses the floor's pattern beyond that, less than 1 m above it."""
 ANGLE_MOST_DEG = 45.0
 YAW_RATE_MOST_DPS = 720.0
 GAIN_MOST = 1000.0
 """No controller gain of the firmware is near this; the largest stock one is 500."""
 DRIVES_MOTORS = ("motorPowerSet.", "health.startPropTest")
 """Parameters by which today's firmware turns motors without a setpoint."""
+RESETS_ESTIMATOR = "kalman.resetEstimation"
+"""Parameter that begins the estimator anew when 1 is written; a request, no setting."""
 SINGLE_MOST = 3.4028234e38
 """The largest number of 32 bits."""
 LIFE_S = 0.5
@@ -54,7 +60,9 @@ class CommandLink(ABC):
     ``client`` who wanted it, and its values.
     superseded: setpoints that a newer one replaced before the radio took them.
     armed: what the craft last said; None before it did.
-    supervisor: what it last said of what keeps it from flying, and of its battery.
+    supervisor: what it last said of what keeps it from flying, of its battery and of its place.
+    on_table: given its places, for the recording.
+    storage: what it keeps of its parameters while it is switched off; None where it keeps nothing.
     """
 
     monotonic = staticmethod(time.monotonic)
@@ -69,8 +77,10 @@ class CommandLink(ABC):
         self.superseded = 0
         self.armed: bool | None = None
         self.supervisor = Supervisor()
+        self.storage: ParameterStorage | None = None
         self.on_event: EventSink = lambda event: None
         self.on_entry: EntrySink = lambda entry: None
+        self.on_table: Callable[[LogTable], None] = lambda table: None
 
     @property
     def firmware(self) -> str:
@@ -78,8 +88,23 @@ class CommandLink(ABC):
         return ""
 
     @property
+    def vehicle(self) -> str:
+        """The profile of what the craft says it is, empty where it does not say."""
+        return ""
+
+    @property
+    def craft_id(self) -> str:
+        """The craft's own number, hexadecimal; empty where it does not say."""
+        return ""
+
+    @property
     def holds_height(self) -> bool:
         """Whether the craft takes a height in the place of thrust."""
+        return False
+
+    @property
+    def holds_place(self) -> bool:
+        """Whether the craft takes a velocity over the ground in the place of an attitude."""
         return False
 
     @property
@@ -108,6 +133,8 @@ class CommandLink(ABC):
         thrust: int,
         *,
         height_m: float | None = None,
+        vx_m_s: float | None = None,
+        vy_m_s: float | None = None,
         client: str = "",
         until_s: float | None = None,
     ) -> int:
@@ -116,13 +143,17 @@ class CommandLink(ABC):
         Signs are those of the telemetry samples: roll left side up, pitch nose down, yaw rate
         counter-clockwise from above. thrust: 0..60000. The firmware levels the craft 0.5 s after
         the last setpoint and stops its motors after 2 s. height_m: the craft finds the thrust that
-        brings it there, see ``holds_height``; thrust is 0 then. client: who wants it, recorded.
+        brings it there, see ``holds_height``; thrust is 0 then. vx_m_s, vy_m_s: forward and left as
+        the craft is headed: it finds the attitude that gives it that velocity at its height, see
+        ``holds_place``; roll and pitch are 0 then. client: who wants it, recorded.
         until_s: monotonic, when the radio must have taken it, ``LIFE_S`` from now at the latest;
         without thrust and height it is never too late.
 
         Raises BadInputError before anything is sent for a value that is not finite or out of
-        range, or a height for a craft that cannot hold one; LinkError when it is not connected.
+        range, or a height or velocity for a craft that cannot hold one; LinkError when it is not
+        connected.
         """
+        _require_velocity(roll_deg, pitch_deg, height_m, vx_m_s, vy_m_s)
         for name, value, most in (
             ("roll_deg", roll_deg, ANGLE_MOST_DEG),
             ("pitch_deg", pitch_deg, ANGLE_MOST_DEG),
@@ -138,22 +169,36 @@ class CommandLink(ABC):
             until_s = until_s if thrust else math.inf
             self._send_setpoint(roll_deg, pitch_deg, yaw_dps, thrust, until_s)
         else:
-            if not 0.0 <= height_m <= HEIGHT_MOST_M:
-                raise BadInputError(
-                    f"setpoint: height {height_m} m is outside 0..{HEIGHT_MOST_M:g}"
-                )
-            if thrust:
-                raise BadInputError("setpoint: give thrust or height_m, not both")
-            if self.state is CommandState.CONNECTED and not self.holds_height:
-                raise BadInputError(
-                    "setpoint: this craft holds no height: it needs today's firmware and a deck"
-                    " that measures it (Flow or Z-ranger), or a positioning system"
-                )
-            self._send_height(roll_deg, pitch_deg, yaw_dps, height_m, until_s)
+            self._require_held(thrust, height_m, moves=vx_m_s is not None)
+            if vx_m_s is None or vy_m_s is None:
+                self._send_height(roll_deg, pitch_deg, yaw_dps, height_m, until_s)
+            else:
+                self._send_hover(vx_m_s, vy_m_s, yaw_dps, height_m, until_s)
+        more = {"height_m": height_m, "vx_m_s": vx_m_s, "vy_m_s": vy_m_s}
         return self._entry(
             "out", "setpoint", client=client, roll_deg=roll_deg, pitch_deg=pitch_deg,
-            yaw_dps=yaw_dps, thrust=thrust, **({} if height_m is None else {"height_m": height_m}),
+            yaw_dps=yaw_dps, thrust=thrust,
+            **{name: value for name, value in more.items() if value is not None},
         )  # fmt: skip
+
+    def _require_held(self, thrust: int, height_m: float, *, moves: bool) -> None:
+        """Raises BadInputError for a height, or with it a velocity, that this craft cannot hold."""
+        if not 0.0 <= height_m <= HEIGHT_MOST_M:
+            raise BadInputError(f"setpoint: height {height_m} m is outside 0..{HEIGHT_MOST_M:g}")
+        if thrust:
+            raise BadInputError("setpoint: give thrust or height_m, not both")
+        if self.state is not CommandState.CONNECTED:
+            return
+        if not self.holds_height:
+            raise BadInputError(
+                "setpoint: this craft holds no height: it needs today's firmware and a deck"
+                " that measures it (Flow or Z-ranger), or a positioning system"
+            )
+        if moves and not self.holds_place:
+            raise BadInputError(
+                "setpoint: this craft holds no velocity: it needs today's firmware and a"
+                " Flow deck, or a positioning system"
+            )
 
     def require_parameter(self, name: str, value: float) -> None:
         """Raises BadInputError for an unknown name or a value that no craft should get."""
@@ -226,6 +271,12 @@ class CommandLink(ABC):
         """Only where ``holds_height`` says so."""
         raise NotImplementedError
 
+    def _send_hover(
+        self, vx_m_s: float, vy_m_s: float, yaw_dps: float, height_m: float, until_s: float
+    ) -> None:
+        """Only where ``holds_place`` says so."""
+        raise NotImplementedError
+
     @abstractmethod
     async def _write_parameter(self, name: str, value: float) -> float: ...
 
@@ -244,3 +295,26 @@ class CommandLink(ABC):
         if state is not self.state:
             self.state = state
             self.on_event(LinkEvent(self.clock(), self.uri, state.value, text))
+
+
+def _require_velocity(
+    roll_deg: float,
+    pitch_deg: float,
+    height_m: float | None,
+    vx_m_s: float | None,
+    vy_m_s: float | None,
+) -> None:
+    """Raises BadInputError for a velocity that is half of one, out of range or beside others."""
+    if vx_m_s is None and vy_m_s is None:
+        return
+    if vx_m_s is None or vy_m_s is None:
+        raise BadInputError("setpoint: give vx_m_s and vy_m_s, or neither")
+    for name, value in (("vx_m_s", vx_m_s), ("vy_m_s", vy_m_s)):
+        if not (math.isfinite(value) and abs(value) <= SPEED_MOST_M_S):
+            raise BadInputError(
+                f"setpoint: {name} {value} is outside -{SPEED_MOST_M_S:g}..{SPEED_MOST_M_S:g}"
+            )
+    if height_m is None:
+        raise BadInputError("setpoint: vx_m_s and vy_m_s need height_m")
+    if roll_deg or pitch_deg:
+        raise BadInputError("setpoint: give roll_deg and pitch_deg, or vx_m_s and vy_m_s, not both")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import ipaddress
 import re
 from collections.abc import Iterable, Sequence
 from urllib.parse import urlsplit
@@ -38,6 +39,21 @@ def is_address(uri: str) -> bool:
         parts = urlsplit(uri)
         return bool(parts.hostname and parts.port)
     except ValueError:  # the port
+        return False
+
+
+def is_software(uri: str) -> bool:
+    """Whether a software craft of this machine answers there: UDP leads to real ones as well."""
+    if uri.startswith("software:"):
+        return True
+    try:
+        address = udp_address(uri)
+        host = "" if address is None else address[0]
+        return host == "localhost" or (
+            isinstance(found := ipaddress.ip_address(host), ipaddress.IPv4Address)
+            and found.is_loopback
+        )
+    except (BadInputError, ValueError):
         return False
 
 

@@ -9,20 +9,26 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from groundstation.errors import BadInputError, GroundStationError, LinkError
 from groundstation.links.cflib_calls import newest_only, resolve
 from groundstation.links.clock import HostClock
 from groundstation.links.command import LIFE_S, CommandLink, CommandState
-from groundstation.links.crazyflie_connection import Connection
+from groundstation.links.craft_place import watch_place
+from groundstation.links.crazyflie_connection import Connection, Identity
 from groundstation.links.event import LinkEvent
-from groundstation.links.outbox import Outbox
-from groundstation.links.supervisor import BATTERY_LOW, DISARMED_ITSELF, STATE, Supervisor
+from groundstation.links.outbox import Outbox, Sender
+from groundstation.links.supervisor import (
+    BATTERY_LOW,
+    DISARMED_ITSELF,
+    STATE,
+    Place,
+    Supervisor,
+)
 
 CONFIRM_S = 2.0
-SEND_S = 2.5
-"""cflib waits 2 s for a radio that takes nothing."""
 ASSISTS = ("flightmode.althold", "flightmode.poshold")
 """Modes in which zero thrust is a rate of descent."""
 STOP = "stop"
@@ -35,6 +41,8 @@ EMERGENCY = (6, 1, b"\x03")
 SUPERVISED_STOP = (9, 1, b"\x03")
 HEIGHT_DECKS = ("deck.bcZRanger", "deck.bcZRanger2", "deck.bcFlow", "deck.bcFlow2")
 """Parameters that are 1 where such a deck is plugged in: each measures the height by itself."""
+FLOW_DECKS = ("deck.bcFlow", "deck.bcFlow2")
+"""Of these, the ones that measure the velocity over the ground."""
 ESTIMATOR, KALMAN = "stabilizer.estimator", 2
 """By which a craft without such a deck is told its height by base stations, anchors or a camera
 system."""
@@ -42,6 +50,8 @@ AT_HEIGHT = (7, 0)
 Z_DISTANCE, LEGACY_Z_DISTANCE = 9, 2
 """Generic setpoints of attitude, yaw rate and height: counter-clockwise, and clockwise before
 protocol 9."""
+HOVER, LEGACY_HOVER = 10, 5
+"""Generic setpoints of velocity, yaw rate and height, with the same turns."""
 SIGNED_YAW = 9
 DISARMS_SAFELY = 9
 """Before that protocol a craft that is disarmed in flight is locked until it is switched off."""
@@ -50,8 +60,10 @@ SETTLES_S = 2.5
 is locked until it is switched off and on."""
 STATE_S = 0.3
 """What its log says of being armed may be older than its answer to a request, by less than this."""
-FIRST_S = 0.5
-"""It says ten times a second what state it is in."""
+STATE_MS, FIRST_S = 100, 0.5
+"""It says ten times a second what state it is in; how long the first time is waited for."""
+CPU_ID = ("cpu.id0", "cpu.id1", "cpu.id2")
+"""Parameters of 32 bits that hold the number of its processor, which is no other's."""
 HEIGHT_LOST_S = 1.0
 """A craft in the air that has not known its height for so long does not hold it."""
 _WHOLE = {
@@ -77,11 +89,13 @@ class CrazyflieLink(CommandLink):
         self._is_shared = shared is not None
         self._connection = shared or Connection(uri)
         self._connection.on_lost.append(self._lose)
-        self._sender: _Sender | None = None
+        self._sender: Sender | None = None
         self._asked_armed = False
         self._asked_s = -STATE_S
         self._told = asyncio.Event()  # of its state, for the first time
         self._knows_height, self._height_s = False, 0.0
+        self._identity: Identity | None = None
+        self._saying = threading.Lock()
 
     async def open(self) -> None:
         if self._is_shared and not self._connection.is_open:
@@ -91,11 +105,13 @@ class CrazyflieLink(CommandLink):
             if not self._is_shared:
                 await self._connection.open()
             await self._connection.complete()
+            self._identity = await self._connection.identify()
         except LinkError:
             await self.close()
             raise
-        self._sender = _Sender(self._connection.craft, locks=self._connection.protocol >= TODAY)
+        self._sender = Sender(self._connection.craft, locks=self._connection.protocol >= TODAY)
         self._forget()
+        self.storage = self._connection.storage()
         self.settles_s = SETTLES_S if self._connection.protocol >= TODAY else 0.0
         for port in (PLATFORM[0], SUPERVISOR[0]):
             self._connection.craft.add_port_callback(port, self._take_answer)
@@ -115,7 +131,11 @@ class CrazyflieLink(CommandLink):
         self._told = asyncio.Event()
         tell = newest_only(asyncio.get_running_loop(), self._take_state)
         try:
-            await self._connection.blocks.watch(watched, lambda said: tell(Supervisor.of(said)))
+            blocks = self._connection.blocks
+            await blocks.watch(
+                "watch", watched, STATE_MS, lambda stamp, said: tell(Supervisor.of(said))
+            )
+            await watch_place(self._connection, self.clock, self._take_place, self.on_table)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(FIRST_S):
                     await self._told.wait()
@@ -123,8 +143,15 @@ class CrazyflieLink(CommandLink):
             if self.state is CommandState.CONNECTING:
                 self._tell("waiting", f"what keeps the craft from flying is not told: {error}")
 
+    def _take_place(self, place: Place) -> None:
+        """From cflib's thread."""
+        with self._saying:
+            self.supervisor = replace(self.supervisor, place=place)
+
     def _take_state(self, said: Supervisor) -> None:
-        before, self.supervisor = self.supervisor, said
+        with self._saying:
+            before = self.supervisor
+            self.supervisor = said = replace(said, place=before.place)
         self._told.set()
         now_s = time.monotonic()
         if said.height_m is not None:
@@ -148,7 +175,7 @@ class CrazyflieLink(CommandLink):
     def _forget(self) -> None:
         """What it said of itself holds no longer."""
         self.armed, self.supervisor, self._knows_height = None, Supervisor(), False
-        self._asked_armed = False
+        self._asked_armed, self.storage = False, None
 
     def _tell(self, kind: str, text: str) -> None:
         self.on_event(LinkEvent(self.clock(), self.uri, kind, text))
@@ -172,13 +199,29 @@ class CrazyflieLink(CommandLink):
         return "2.x" if protocol >= TODAY else "2014" if protocol < 0 else ""
 
     @property
+    def vehicle(self) -> str:
+        return "" if self._identity is None else self._identity.vehicle
+
+    @property
+    def craft_id(self) -> str:
+        parts = [part for name in CPU_ID if (part := self._parameter(name)) is not None]
+        return "".join(f"{int(part):08x}" for part in parts) if len(parts) == len(CPU_ID) else ""
+
+    @property
     def holds_height(self) -> bool:
         if not self._is_up_to_date():
             return False
-        known = self.parameters()
-        if any(known.get(name) for name in HEIGHT_DECKS):
+        if any(self._parameter(name) for name in HEIGHT_DECKS):
             return True
-        return known.get(ESTIMATOR) == KALMAN and self._knows_height
+        return self._parameter(ESTIMATOR) == KALMAN and self._knows_height
+
+    @property
+    def holds_place(self) -> bool:
+        if not self.holds_height:
+            return False
+        if any(self._parameter(name) for name in FLOW_DECKS):
+            return True
+        return self._parameter(ESTIMATOR) == KALMAN and self.supervisor.knows_place
 
     @property
     def disarms_in_flight(self) -> bool:
@@ -187,6 +230,14 @@ class CrazyflieLink(CommandLink):
         # its log may not say yet what it was asked for, by a connection before this one too
         may_be_armed = self.supervisor.armed is not False or self._asked_armed
         return may_be_armed and self._connection.protocol >= DISARMS_SAFELY
+
+    def _parameter(self, name: str) -> float | None:
+        """One of them, which each setpoint may ask for; None where there is none."""
+        if not self._connection.is_open:
+            return None
+        group, _, short = name.partition(".")
+        value = self._connection.craft.param.values.get(group, {}).get(short)
+        return None if value is None else float(value)
 
     def parameters(self) -> dict[str, float]:
         if not self._connection.is_open:
@@ -278,6 +329,17 @@ class CrazyflieLink(CommandLink):
         data = struct.pack("<Bffff", kind, roll_deg, -pitch_deg, turn, height_m)
         self._steer(lambda: self._connection.send(*AT_HEIGHT, data), until_s, unlocks=False)
 
+    def _send_hover(
+        self, vx_m_s: float, vy_m_s: float, yaw_dps: float, height_m: float, until_s: float
+    ) -> None:
+        kind, turn = (
+            (HOVER, yaw_dps)
+            if self._connection.protocol >= SIGNED_YAW
+            else (LEGACY_HOVER, -yaw_dps)
+        )
+        data = struct.pack("<Bffff", kind, vx_m_s, vy_m_s, turn, height_m)
+        self._steer(lambda: self._connection.send(*AT_HEIGHT, data), until_s, unlocks=False)
+
     def _steer(self, send: Callable[[], None], until_s: float, unlocks: bool = True) -> None:
         """Send a setpoint, on a connection that is from now on that of a craft under command."""
         self._connected()
@@ -321,29 +383,3 @@ class CrazyflieLink(CommandLink):
         if self.state is not CommandState.CONNECTED:
             raise LinkError(f"{self.uri} is not connected ({self.state.value})")
         return self._connection.craft
-
-
-class _Sender:
-    """Hands setpoints and requests to cflib from a thread of its own, for a radio may block for
-    seconds.
-
-    locks: whether the firmware takes thrust only after zero thrust, again after each silence.
-    """
-
-    def __init__(self, craft: Any, *, locks: bool) -> None:
-        def unlock() -> None:
-            craft.commander.send_setpoint(0, 0, 0, 0)
-
-        self.outbox = Outbox(unlock if locks else None)
-        self._thread = threading.Thread(target=self._run, name="setpoints", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Send what waits, if the radio takes it soon, and end."""
-        self.outbox.close()
-        self._thread.join(SEND_S)
-
-    def _run(self) -> None:
-        while self.outbox.wait():
-            with contextlib.suppress(LinkError):  # it has gone meanwhile
-                self.outbox.send()

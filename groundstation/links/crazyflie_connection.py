@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from groundstation.links.cflib_calls import (
 from groundstation.links.craft_address import ADDRESSES, HINT, is_address
 from groundstation.links.craft_console import Console
 from groundstation.links.log_blocks import LogBlocks
+from groundstation.links.parameter_storage import MISC, ParameterStorage
 
 CONNECT_S, FIRST_S, UDP_TRIES = 10.0, 3.0, 3
 """Until everything has been read; until the first questions are answered; how often they are asked
@@ -40,6 +42,13 @@ CLOSE_S = 5.0
 
 _PLATFORM, _VERSION = 13, 1
 _FIRMWARE, _DEVICE = 1, 2
+
+DEVICES = {
+    "Crazyflie 2.1 Brushless": "brushless",
+    "Crazyflie 2.1": "crazyflie21",
+    "Crazyflie 2.0": "crazyflie21",
+}
+"""What the firmware calls itself -> vehicle profile. A 2.1+ calls itself 2.1."""
 
 _ERROR_NAME = re.compile(r"^([\w.]+\.)?\w*(Error|Exception): ")
 _UNHEARD = logging.NullHandler()
@@ -52,6 +61,11 @@ class Identity:
     protocol: int
     firmware: str
     device: str
+
+    @property
+    def vehicle(self) -> str:
+        """Its profile, empty where it does not say."""
+        return DEVICES.get(self.device, "") if self.protocol > 0 else "crazyflie1"
 
 
 class Connection:
@@ -82,6 +96,7 @@ class Connection:
         self._craft: Any = None
         self._hush: Callable[[], None] = lambda: None
         self._complete: asyncio.Future[bool] | None = None
+        self._identity: Identity | None = None
         self.blocks = LogBlocks(uri, lambda: self.craft)
 
     @property
@@ -126,7 +141,7 @@ class Connection:
         craft = self._craft = self._new_craft()
         self._hush = ask_again(craft, self.uri)
         begin_once(craft)
-        self._complete, self.commanded = complete, False
+        self._complete, self.commanded, self._identity = complete, False, None
         self.console.end()
 
         def call(function: Callable[..., None], *arguments: Any) -> None:
@@ -212,34 +227,50 @@ class Connection:
         craft.close_link()
 
     async def identify(self) -> Identity:
-        """What the craft calls itself; empty where it does not say."""
-        protocol = self.protocol
-        if protocol < 0:
-            return Identity(protocol, "", "")
-        said = [await self._ask(_PLATFORM, _VERSION, what) for what in (_FIRMWARE, _DEVICE)]
-        return Identity(protocol, *said)
+        """What the craft calls itself; empty where it does not say. It is asked once."""
+        if self._identity is None:
+            protocol, said = self.protocol, ["", ""]
+            if protocol >= 0:
+                asked = (bytes([_FIRMWARE]), bytes([_DEVICE]))
+                answers = [await self.ask(_PLATFORM, _VERSION, what) for what in asked]
+                said = [(one or b"").rstrip(b"\0").decode("utf-8", "replace") for one in answers]
+            self._identity = Identity(protocol, *said)
+        return self._identity
 
-    async def _ask(self, port: int, channel: int, command: int) -> str:
-        """The text that answers a command of one byte, empty where none comes."""
+    async def ask(
+        self, port: int, channel: int, request: bytes, patience_s: float = ANSWER_S
+    ) -> bytes | None:
+        """What the answer to a request has behind the request's own bytes, which it repeats; None
+        where none comes."""
         craft, loop = self.craft, asyncio.get_running_loop()
-        answer: asyncio.Future[str] = loop.create_future()
+        answer: asyncio.Future[bytes] = loop.create_future()
 
         def heard(packet: Any) -> None:
             data = bytes(packet.data)
-            if data[:1] == bytes([command]):
-                text = data[1:].rstrip(b"\0").decode("utf-8", "replace")
-                loop.call_soon_threadsafe(resolve, answer, text)
+            if data.startswith(request):
+                loop.call_soon_threadsafe(resolve, answer, data[len(request) :])
 
         craft.add_header_callback(heard, port, channel)
         try:
             for _ in range(ASKED):  # not by cflib, which asks for ever what a craft does not know
-                craft.send_packet(crtp_packet(port, channel, bytes([command])))
+                craft.send_packet(crtp_packet(port, channel, request))
                 with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(ANSWER_S / ASKED):
+                    async with asyncio.timeout(patience_s / ASKED):
                         return await asyncio.shield(answer)
-            return ""
+            return None
         finally:
             craft.remove_header_callback(heard, port, channel)
+
+    def storage(self) -> ParameterStorage | None:
+        """What the craft keeps of its parameters while it is switched off; None where its firmware
+        keeps none."""
+        numbers = {
+            f"{group}.{name}": (element.ident, element.pytype)
+            for group, elements in self.craft.param.toc.toc.items()
+            for name, element in elements.items()
+            if element.is_persistent()
+        }
+        return ParameterStorage(self.uri, numbers, partial(self.ask, *MISC)) if numbers else None
 
     def variables(self) -> dict[str, str]:
         """What the craft can log: full name -> type."""

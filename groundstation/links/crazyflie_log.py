@@ -43,12 +43,6 @@ BORNE, SPARE = 0.94, 0.9
 what comes that is asked for where it does not: commands want room too."""
 SETTING_MS = 2
 """How often today's firmware sets the motors."""
-DEVICES = {
-    "Crazyflie 2.1 Brushless": "brushless",
-    "Crazyflie 2.1": "crazyflie21",
-    "Crazyflie 2.0": "crazyflie21",
-}
-"""What the firmware calls itself -> vehicle profile. A 2.1+ calls itself 2.1."""
 
 
 def make(options: LinkOptions) -> Link:
@@ -124,7 +118,7 @@ class CrazyflieTelemetry(Link):
         except BaseException:
             await self._connection.close()
             raise
-        self.vehicle = DEVICES.get(identity.device) if identity.protocol > 0 else "crazyflie1"
+        self.vehicle = identity.vehicle
         self._found = self._introduction(identity, plan)
         now_s = self._loop.time()
         self._heard = dict.fromkeys(range(len(blocks)), now_s)
@@ -261,7 +255,7 @@ class CrazyflieTelemetry(Link):
             f"{name}, {version}{protocol}; {names} in {len(plan.blocks)} blocks"
             f" {1000 // self._period_ms} times a second"
         )
-        if self.vehicle is None:
+        if not self.vehicle:
             text += "; vehicle not told: taken for crazyflie21, say --set vehicle=PROFILE"
             self.vehicle = "crazyflie21"
         elif self.vehicle == "crazyflie21":

@@ -35,7 +35,6 @@ STOP_S = 0.2
 STAGGER_TRIES = 40
 LEAST_CFLIB_MS = 10
 """cflib's own commands know no shorter period."""
-WATCH_MS = 100
 
 OnValues = Callable[[int, int, tuple[float, ...]], None]
 """Number of the block, stamp (ms, 24 bits), values; from cflib's thread."""
@@ -50,7 +49,7 @@ class LogBlocks:
     def __init__(self, uri: str, craft: Callable[[], Any]) -> None:
         self._uri, self._craft = uri, craft
         self._blocks: list[Any] = []
-        self._slow: Any = None
+        self._watched: list[Any] = []
         self._half_made: list[Any] = []
         self._between = 0
         self._stamps: dict[int, int] = {}
@@ -88,12 +87,21 @@ class LogBlocks:
         running.set()
 
     async def watch(
-        self, variables: Sequence[Variable], on_values: Callable[[dict[str, float]], None]
+        self,
+        name: str,
+        variables: Sequence[Variable],
+        period_ms: int,
+        on_values: Callable[[int, dict[str, float]], None],
     ) -> None:
-        """Let the craft say these as well, ten times a second, however fast its other blocks are;
-        told from cflib's thread. Raises LinkError where it refuses."""
-        self._slow = await self._begin(
-            "watch", variables, WATCH_MS, lambda stamp, values, block: on_values(dict(values))
+        """Let the craft say these as well, every ``period_ms``, however fast its other blocks are;
+        told from cflib's thread, with the stamp. Raises LinkError where it refuses."""
+        self._watched.append(
+            await self._begin(
+                name,
+                variables,
+                period_ms,
+                lambda stamp, values, block: on_values(stamp, dict(values)),
+            )
         )
 
     async def _begin(
@@ -246,9 +254,8 @@ class LogBlocks:
 
     def stop(self, craft: Any) -> None:
         """End all blocks of a craft that is about to be left; waits, so not on the event loop."""
-        slow = [self._slow] if self._slow is not None else []
-        blocks = [*self._blocks, *slow, *self._half_made]
-        self._blocks, self._slow, self._half_made = [], None, []
+        blocks = [*self._blocks, *self._watched, *self._half_made]
+        self._blocks, self._watched, self._half_made = [], [], []
         if craft.link is None:
             return
         for block in blocks:

@@ -63,9 +63,9 @@ def _each(pattern: str, parts: str | Sequence[str]) -> tuple[str, ...]:
 _ANGLES = ("roll", "pitch", "yaw")
 _GYRO = _Choice(_each("gyro.{}", "xyz"), "float")
 _ACCELEROMETER = (_Choice(_each("acc.{}", "xyz"), "float"),)
-_MOTORS = (
-    _Choice(_each("motor.m{}", "1234"), "uint16_t"),
+_MOTORS = (  # before November 2022 motor.* was the thrust that is asked for
     _Choice(_each("pwm.m{}_pwm", "1234"), "uint16_t"),
+    _Choice(_each("motor.m{}", "1234"), "uint16_t"),
 )
 _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
     (

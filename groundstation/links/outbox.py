@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+
+from groundstation.errors import LinkError
 
 LOCKS_AFTER_S = 2.0
 """Today's firmware stops a craft that heard no setpoint for so long, and locks its thrust."""
+SEND_S = 2.5
+"""cflib waits 2 s for a radio that takes nothing."""
 REQUESTS_MOST = 8
 """Requests to arm, disarm and stop; the oldest is dropped, for the newest is what is wanted."""
 
@@ -117,3 +123,29 @@ class Outbox:
         """One at a time: the radio may block, and what waits behind it be withdrawn."""
         with self._changed:
             return self._requests.popleft() if self._requests else None
+
+
+class Sender:
+    """Hands setpoints and requests to cflib from a thread of its own, for a radio may block for
+    seconds.
+
+    locks: whether the firmware takes thrust only after zero thrust, again after each silence.
+    """
+
+    def __init__(self, craft: Any, *, locks: bool) -> None:
+        def unlock() -> None:
+            craft.commander.send_setpoint(0, 0, 0, 0)
+
+        self.outbox = Outbox(unlock if locks else None)
+        self._thread = threading.Thread(target=self._run, name="setpoints", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Send what waits, if the radio takes it soon, and end."""
+        self.outbox.close()
+        self._thread.join(SEND_S)
+
+    def _run(self) -> None:
+        while self.outbox.wait():
+            with contextlib.suppress(LinkError):  # it has gone meanwhile
+                self.outbox.send()

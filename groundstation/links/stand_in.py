@@ -80,6 +80,7 @@ class StandInLink(Link):
         self._crtp = crtp
         self._server: Any = None
         self._craft: Any = None
+        self._stored: dict[str, float] = {}  # what the craft keeps while it is switched off
         self._powered = True
         self._off_s = self._look_s = 0.0  # of simulated time
         self._flown_s = self._target_s = self._heard_from_s = 0.0
@@ -149,7 +150,7 @@ class StandInLink(Link):
         from firmware_sim.craft import StandIn
 
         try:
-            craft = StandIn(self._settings)
+            craft = StandIn(self._settings, self._stored)
             # compiles on a machine's first run, which must not look like a silent link
             craft.advance(0.0)
         except (ValueError, OSError) as error:

@@ -7,43 +7,74 @@ import math
 from dataclasses import dataclass
 
 INFO, POWER = "supervisor.info", "pm.state"
-HEIGHT, HEIGHT_VARIANCE = "stateEstimate.z", "kalman.varPZ"
-STATE = (INFO, POWER, HEIGHT, HEIGHT_VARIANCE)
+HEIGHT, HEIGHT_VARIANCE = "stateEstimate.z", "kalman.varZ"
+PLACE_VARIANCES = ("kalman.varX", "kalman.varY")
+STATE = (INFO, POWER, HEIGHT, HEIGHT_VARIANCE, *PLACE_VARIANCES)
 """Log variables, slow ones."""
+PLACE = tuple(f"stateEstimate.{name}" for name in ("x", "y", "z", "vx", "vy", "vz"))
+LEAN = ("stabilizer.roll", "stabilizer.pitch")
+"""Log variables, fast ones."""
 LOW_POWER = 3
 HEIGHT_KNOWN_M = 0.1
-"""Standard error of a height that a craft can be left with: the estimator begins at 1 m, and stays
-there or grows where nothing measures the height; ranges, base stations or anchors make it some mm
-to cm."""
+"""Standard error of a height, or a place, that a craft can be left with: the estimator begins at
+1 m, and stays there or grows where nothing measures it; ranges, base stations or anchors make it
+some mm to cm."""
 _CAN_ARM, _ARMED, _ARMS_ITSELF, _FLIES = (1 << place for place in (0, 1, 2, 4))
 _TUMBLED, _LOCKED, _CRASHED, _DECK_FAULT = (1 << place for place in (5, 6, 7, 11))
 DISARMED_ITSELF = (
     "the craft has disarmed its motors by itself, as it does where it is not flown soon, and soon"
     " after a landing"
 )
+NOT_ARMED = "the craft is not armed: `groundstation motors arm`, or on the page (Arm...)"
 TUMBLED = "the craft lies on its side or its back: set it upright"
 BATTERY_LOW = "the craft warns that its battery is low: land"
 
 
 @dataclass(frozen=True, slots=True)
+class Place:
+    """Position (m) and velocity (m/s) in the world frame of the craft's estimator. tilt_deg: of its
+    axis from the vertical, NaN where it does not say. heard_s: when it came, monotonic."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    vx_m_s: float
+    vy_m_s: float
+    vz_m_s: float
+    tilt_deg: float = math.nan
+    heard_s: float = 0.0
+
+    @classmethod
+    def of(cls, values: dict[str, float], heard_s: float) -> Place:
+        """From the log variables of ``PLACE`` and, where there are any, of ``LEAN``."""
+        roll, pitch = (math.radians(values.get(name, math.nan)) for name in LEAN)
+        upright = math.cos(roll) * math.cos(pitch)
+        x, y, z, vx, vy, vz = (values[name] for name in PLACE)
+        return cls(x, y, z, vx, vy, vz, math.degrees(math.acos(upright)), heard_s)
+
+
+@dataclass(frozen=True, slots=True)
 class Supervisor:
     """bits: of ``supervisor.info``, None: the craft does not say. low_battery: it warns of that.
-    height_m: what its Kalman filter says, None where it is not sure of that."""
+    height_m: what its Kalman filter says, None where it is not sure of that. knows_place: whether
+    that filter is sure of the position in the plane. place: where it was last, None before it said
+    so."""
 
     bits: int | None = None
     low_battery: bool = False
     height_m: float | None = None
+    knows_place: bool = False
+    place: Place | None = None
 
     @classmethod
     def of(cls, values: dict[str, float]) -> Supervisor:
         """From log variables; what the firmware does not list is missing."""
         bits, height_m = values.get(INFO), values.get(HEIGHT, math.nan)
-        # a filter that does not run says 0
-        is_sure = 0.0 < values.get(HEIGHT_VARIANCE, 0.0) <= HEIGHT_KNOWN_M**2
         return cls(
             None if bits is None else int(bits),
             values.get(POWER) == LOW_POWER,
-            height_m if is_sure and math.isfinite(height_m) else None,
+            height_m if _is_sure(values, HEIGHT_VARIANCE) and math.isfinite(height_m) else None,
+            all(_is_sure(values, name) for name in PLACE_VARIANCES),
         )
 
     @property
@@ -104,4 +135,9 @@ class Supervisor:
         """What keeps it from flying, and what to do; empty where it says nothing of that."""
         if self.trouble or self.bits is None or self.armed or self.arms_itself:
             return self.trouble
-        return "the craft is not armed: `groundstation motors arm`, or on the page (Arm...)"
+        return NOT_ARMED
+
+
+def _is_sure(values: dict[str, float], variance: str) -> bool:
+    """Whether a coordinate is known; a filter that does not run says 0."""
+    return 0.0 < values.get(variance, 0.0) <= HEIGHT_KNOWN_M**2

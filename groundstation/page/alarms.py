@@ -12,7 +12,7 @@ DISK_LOW_MB = 1024.0
 VIEW_BEHIND_S = 2.0
 
 Alarm = dict[str, str]
-"""level: ``alarm`` (act), ``warning`` (look) or ``busy`` (wait); text."""
+"""level: ``alarm`` (act), ``warning`` (look) or ``busy`` (wait); text; details, where there are."""
 
 
 def alarms(status: dict[str, Any] | None, fault: str, battery_v: float | None) -> list[Alarm]:
@@ -26,6 +26,9 @@ def alarms(status: dict[str, Any] | None, fault: str, battery_v: float | None) -
 def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
     for problem in status["health"]["problems"]:
         yield _alarm(problem[:1].upper() + problem[1:])
+    command = status["command"]
+    if command is not None and command["unproven"]:
+        yield _unproven(command)
     link = status["link"]
     streaming = link["state"] == "streaming" and not link["pauses"]
     prepares = link["pauses"] and link["state"] == "opening"
@@ -57,6 +60,22 @@ def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
         yield _warning(f"The twin has failed: {twin['text']}")
     for one in [] if twin is None else twin["disagreements"]:
         yield _warning(f"Craft and model disagree: {one['channel']}, {one['regime']}. {one['why']}")
+
+
+def _unproven(command: dict[str, Any]) -> Alarm:
+    """Parameters of a flight that did not end as its client wanted."""
+    back = (
+        "are being written back"
+        if command["state"] == "connected"
+        else "are written back when it is connected"
+    )
+    names = [
+        f"{name}: {'not known' if one['now'] is None else format(one['now'], 'g')},"
+        f" before {one['former']:g}"
+        for name, one in command["unproven"].items()
+    ]
+    text = f"Gains of an interrupted flight are on the craft; the former ones {back}"
+    return {**_alarm(text), "details": "; ".join(names)}
 
 
 def _alarm(text: str) -> Alarm:

@@ -32,7 +32,7 @@ from groundstation.page.access import Access
 from groundstation.page.alarms import alarms
 from groundstation.page.follower import Follower
 from groundstation.page.help import help_route
-from groundstation.page.opening import add, add_example, channels, examples
+from groundstation.page.opening import UnknownColumnsError, add, add_example, channels, examples
 from groundstation.report.theme import THEME
 from groundstation.service.client import Pilot, ask
 from groundstation.text import printable
@@ -43,14 +43,17 @@ STAND_IN_AT = "udp://127.0.0.1:19850"
 """Where the stand-in is asked to take commands, unless the operator says otherwise."""
 ACTIONS = (
     *("/record/start", "/record/stop", "/record/mark", "/link"),
-    *("/command/stop", "/command/level", "/command/arm", "/command/recover", "/command/connect"),
+    *("/command/stop", "/command/land", "/command/level", "/command/arm", "/command/recover"),
+    "/command/connect",
     *("/jobs/start", "/jobs/cancel", "/models/watch"),
 )
 """Operations of the control API that a page may ask for, with its own ``/do`` before them."""
 
 AT_ONCE = ("/command/stop", "/command/level")
 """Those that, as disarming, wait for nobody else's request."""
-STOPS, ASKS, LOOKS, ADMITS = 4, 6, 4, 2
+LANDS = "/command/land"
+"""It takes seconds: a stop does not wait for it, nor it for another request."""
+STOPS, LANDINGS, ASKS, LOOKS, ADMITS = 4, 2, 6, 4, 2
 """Threads of each of the ways to the daemon: whatever one waits for, the others are free."""
 
 _HEADERS = {
@@ -119,7 +122,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             Route("/file/{kind}/{name}", file),
             help_route(),
             *_opening(control, looks),
-            _parameters(control, looks, asks),
+            *_parameters(control, looks, asks),
             *_doing(control, asks),
             *(Route(f"/{name}", static) for name in files),
         ]
@@ -129,7 +132,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
 
 def _doing(control: Path, asks: Callable[..., Awaitable[Any]]) -> list[Route]:
     """What the daemon is asked to do; what stops a craft waits for nothing else."""
-    stops = _way("stops", STOPS)
+    stops, lands = _way("stops", STOPS), _way("lands", LANDINGS)
 
     async def do(request: Request) -> Response:
         body = await request.body()
@@ -139,7 +142,7 @@ def _doing(control: Path, asks: Callable[..., Awaitable[Any]]) -> list[Route]:
             content = msgspec.json.decode(body, type=dict[str, Any]) if body else None
             path = request.url.path.removeprefix("/do")
             disarms = path == "/command/arm" and content == {"on": False}
-            way = stops if path in AT_ONCE or disarms else asks
+            way = stops if path in AT_ONCE or disarms else lands if path == LANDS else asks
             return _json(await way(ask, control, "POST", path, content))
         except (GroundStationError, msgspec.MsgspecError) as error:
             return _refusal(400, str(error))
@@ -167,12 +170,17 @@ def _opening(control: Path, looks: Callable[..., Awaitable[Any]]) -> list[Route]
             return _refusal(400, str(error))
 
     async def added(request: Request) -> Response:
-        """A file that was dropped on the page, or an example, as a recording of the folder."""
+        """A file that was dropped on the page, or an example, as a recording of the folder; or the
+        form that asks what its columns are, whose answers come with it then."""
         kind, name = request.path_params["kind"], request.path_params["name"]
         try:
             if kind == "example":
                 return _json({"file": await add_example(await folder(), name)})
-            return _json({"file": await add(await folder(), name, request.stream())})
+            answers = request.query_params.get("columns")
+            made = await add(await folder(), name, request.stream(), answers)
+            return _json({"file": made.file, "map": made.map, "said": made.said})
+        except UnknownColumnsError as error:
+            return _json({"form": error.form, "why": str(error)})
         except (GroundStationError, OSError) as error:
             return _refusal(400, str(error))
         except ClientDisconnect:
@@ -190,20 +198,31 @@ def _opening(control: Path, looks: Callable[..., Awaitable[Any]]) -> list[Route]
 
 def _parameters(
     control: Path, looks: Callable[..., Awaitable[Any]], asks: Callable[..., Awaitable[Any]]
-) -> Route:
+) -> list[Route]:
     """The craft's parameters."""
 
     async def parameters(request: Request) -> Response:
         """All that the craft has; or, by POST, some written under a lease of this moment."""
         try:
             if request.method == "GET":
-                return _json(await looks(ask, control, "GET", "/command/parameters"))
+                return _json(await looks(_read_parameters, control))
             wanted = msgspec.json.decode(await request.body(), type=dict[str, dict[str, float]])
             return _json(await asks(_write_parameters, control, wanted.get("values", {})))
         except (GroundStationError, msgspec.MsgspecError) as error:
             return _refusal(400, str(error))
 
-    return Route("/parameters", parameters, methods=["GET", "POST"])
+    async def stored(request: Request) -> Response:
+        """Store the gains that there are, or clear the stored ones."""
+        try:
+            wanted = msgspec.json.decode(await request.body(), type=dict[str, bool])
+            return _json(await asks(_store_gains, control, wanted.get("clear", False)))
+        except (GroundStationError, msgspec.MsgspecError) as error:
+            return _refusal(400, str(error))
+
+    return [
+        Route("/parameters", parameters, methods=["GET", "POST"]),
+        Route("/parameters/stored", stored, methods=["POST"]),
+    ]
 
 
 class _Gate:
@@ -273,6 +292,23 @@ def _write_parameters(control: Path, values: dict[str, float]) -> dict[str, Any]
     """Nobody else may command meanwhile. Raises GroundStationError."""
     with Pilot(control, "page") as pilot:
         return {"values": pilot.write(values)}
+
+
+def _read_parameters(control: Path) -> dict[str, Any]:
+    """values: of the craft. stores: it can keep some while it is switched off, stored: those."""
+    values = ask(control, "GET", "/command/parameters")["values"]
+    command = ask(control, "GET", "/status")["command"]
+    return {"values": values, "stores": command["stores"], "stored": command["stored"]}
+
+
+def _store_gains(control: Path, clear: bool) -> dict[str, Any]:
+    """Nobody else may command meanwhile. Raises GroundStationError."""
+    with Pilot(control, "page") as pilot:
+        if clear:
+            pilot.clear_stored()
+        else:
+            pilot.store()
+    return _read_parameters(control)
 
 
 def _devices(control: Path) -> dict[str, Any]:

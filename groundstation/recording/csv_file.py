@@ -9,7 +9,8 @@ firmware sends it, nose up positive. The physical table names the unit in each h
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -19,12 +20,20 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
 from groundstation.recording.channels import CHANNELS
-from groundstation.recording.column_map import read_mapped_csv
+from groundstation.recording.column_map import (
+    NOTES_METADATA,
+    UNCLEAR_METADATA,
+    chosen,
+    read_mapped_csv,
+    require_one_craft,
+)
 from groundstation.recording.delimited import Block, TextTable, open_table
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
-from groundstation.recording.map_plan import map_of_header
+from groundstation.recording.motor_columns import changes, siblings, too_many
 from groundstation.recording.row_order import ROWS_METADATA, in_order, order_of
+from groundstation.recording.rows import EVERY_ROW, Rows
 from groundstation.recording.session import Recording
+from groundstation.recording.thrust_command import NOT_KNOWN, settle_duty
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,
     ANGLE_RAD,
@@ -54,12 +63,19 @@ _TABLE_LIMITS = {
     "host_time_s": (-_MAX_TIME_S, _MAX_TIME_S),
     "debug": (0, 2**32 - 1),
 }
+_COMMAND, _DOUBTFUL = "command_", "doubtful_duty_"
+"""How the duties' columns begin where it is not known whether they are the duty, or its range is
+not known: a warning that goes along with the table."""
+_DOUBT = (
+    "the motors' duty is not known: the table has it as doubtful_duty_1 to 4; the recording that it"
+    " was made of says why"
+)
 _WRITE_ROWS = 20_000
 
 
-def read_csv(path: Path) -> Recording:
-    """Read a CSV file in the thesis's layout, in physical units or with the columns of a named map,
-    told apart by the header.
+def read_csv(path: Path, rows: Rows = EVERY_ROW) -> Recording:
+    """Read a CSV file in the thesis's layout, in physical units or with the columns that a named
+    map knows, told apart by the header.
 
     A time that goes backwards starts a new segment. Host stamps are made from device time
     where the file has none. Rows that fit the packet are also given as raw packets, one copy
@@ -68,20 +84,22 @@ def read_csv(path: Path) -> Recording:
     Raises RecordingError where the file cannot be opened, BadInputError (file, line, column)
     where it does not read. A torn last line is left out and named in ``damage``.
     """
-    table = open_table(path)
+    table = chosen(open_table(path), rows)
     positions = {name.lower(): place for place, name in enumerate(table.names) if name}
-    if "time_s" in positions:
-        return _read_physical(table, positions)
+    if "time_s" in positions and not rows.rate_hz:
+        doubt = _doubt(positions)
+        positions |= {f"duty_{m}": positions[f"{doubt}{m}"] for m in range(1, 5) if doubt}
+        known = [positions[one.header] for one in CHANNELS if one.header in positions]
+        time = positions["time_s"]
+        if rows.only is None:
+            require_one_craft(path, table.names, table.first_cells, [time, *known], time)
+        return _read_physical(table, positions, doubt)
     missing = [name for name in THESIS_COLUMNS if name.lower() not in positions]
-    if missing and (named := map_of_header(table.names)) is not None:
-        return read_mapped_csv(path, named)
-    if missing:
-        raise BadInputError(
-            f"{path}, line 1: the header has neither the thesis's columns (no {missing[0]}) nor "
-            "time_s, nor is it one that 'groundstation convert --list-columns' names; describe the "
-            "columns in a TOML file and convert it with --columns"
-        )
-    return _read_thesis(table, [positions[name.lower()] for name in THESIS_COLUMNS])
+    if not missing and not rows.rate_hz:
+        return _read_thesis(table, [positions[name.lower()] for name in THESIS_COLUMNS])
+    if len(missing) <= len(THESIS_COLUMNS) // 4 and not rows.rate_hz:
+        raise BadInputError(f"{path}: the thesis's layout, but no column {', '.join(missing)}")
+    return read_mapped_csv(path, None, rows)
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -110,12 +128,18 @@ def write_table_csv(recording: Recording, path: Path) -> None:
     Columns: ``time_s`` (device time), ``segment``, ``host_time_s`` (Unix), the channels of
     ``channels.CHANNELS`` and ``debug``. A channel the recording does not have is left out; a
     missing value is ``nan``. Reading the file gives the same samples, time to the nanosecond.
+    Duties that may be commands of thrust are ``command_1`` to ``command_4``, those in doubt for
+    another reason ``doubtful_duty_1`` to ``doubtful_duty_4``, and stay in doubt.
 
     Raises BadInputError where ``path`` exists, RecordingError where it cannot be written.
     """
     samples = recording.samples
     present = [channel for channel in CHANNELS if channel.is_in(samples)]
-    header = ["time_s", "segment", "host_time_s", *(channel.header for channel in present), "debug"]
+    open_ = recording.metadata.get(UNCLEAR_METADATA, {}).get("duty", "")
+    called = "duty_" if not open_ else _COMMAND if open_ == NOT_KNOWN else _DOUBTFUL
+    names = [channel.header for channel in present]
+    names = [re.sub(r"^duty_(?=\d$)", called, one) for one in names]
+    header = ["time_s", "segment", "host_time_s", *names, "debug"]
     formats = ["%.9f", "%d", "%.6f", *["%.9g"] * len(present), "%d"]
     with _new_file(path) as file:
         file.write(",".join(header) + "\n")
@@ -217,15 +241,26 @@ def _as_packets(
     return RawBatch(packets, host_time_ns)
 
 
-def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
+def _doubt(positions: Mapping[str, int]) -> str:
+    """How the duties' columns begin where they are in doubt, or empty."""
+    found = [
+        one for one in (_COMMAND, _DOUBTFUL) if all(f"{one}{m}" in positions for m in range(1, 5))
+    ]
+    return found[0] if found and "duty_1" not in positions else ""
+
+
+def _read_physical(table: TextTable, positions: dict[str, int], doubt: str) -> Recording:
     channels = [channel for channel in CHANNELS if channel.header in positions]
     extras = [name for name in _TABLE_LIMITS if name in positions]
     names = [*extras, *(channel.header for channel in channels)]
+    beside = siblings([f"duty_{m}" for m in range(1, 5)], positions)
+    moved = np.zeros(len(names) + len(beside), np.intp)
     blocks = []
-    for block in table.blocks([positions[name] for name in names]):
+    for block in table.blocks([positions[name] for name in (*names, *beside)]):
+        moved += changes(block.values)
         for place, name in enumerate(names[: len(extras)]):
             _require_range(block, slice(place, place + 1), *_TABLE_LIMITS[name])
-        values = dict(zip(names, block.values.T, strict=True))
+        values = dict(zip((*names, *beside), block.values.T, strict=True))
         ticks = np.rint(values["time_s"] / _TABLE_TICK_S).astype(np.int64)
         samples = empty_samples(len(ticks), _TABLE_TICK_S)
         samples.ticks[:] = ticks
@@ -237,11 +272,18 @@ def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
             samples.host_time_ns[:] = np.rint(values["host_time_s"] * 1e9)
         blocks.append(samples)
     samples = SampleBatch.concatenate(blocks) if blocks else empty_samples(0, _TABLE_TICK_S)
-    metadata = {}
+    metadata: dict[str, dict[str, str]] = {}
+    motors = [k for k, one in enumerate(channels, len(extras)) if one.field == "duty"]
+    if why := too_many(moved[motors], moved[len(names) :], beside):
+        samples.duty[:] = np.nan
+        metadata[UNCLEAR_METADATA] = {"duty": why}
+    note, open_ = settle_duty(samples) if doubt == _COMMAND else ("", doubt and _DOUBT)
+    metadata |= {NOTES_METADATA: {"1": note}} if note else {}
+    metadata |= {UNCLEAR_METADATA: {"duty": open_}} if open_ else {}
     if "segment" not in positions:
         samples, order = in_order(samples)
         if order.notes:
-            metadata = {ROWS_METADATA: order.notes}
+            metadata[ROWS_METADATA] = order.notes
     if "host_time_s" not in positions:
         samples.host_time_ns[:] = host_time_from_ticks(
             samples.ticks, samples.tick_s, samples.segment

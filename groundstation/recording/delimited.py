@@ -1,33 +1,50 @@
 """Delimited text as spreadsheets and loggers write it, read block by block into numbers.
 
-Accepted: comma, semicolon or tab; decimal comma; quotes; CRLF; a byte-order mark; Excel's
-``sep=;`` line; a leading column of row numbers with or without a name; a separator at the end
-of each line; ``1,23E+09`` unquoted in the last column of a comma-separated line; comments and other
-lines before the header, and units below it (``table_header``). A last line
+Accepted: comma, semicolon, tab, pipe or spaces; decimal comma; quotes; CRLF; a byte-order mark;
+Excel's ``sep=;`` line; a leading column of row numbers with or without a name; a separator at the
+end of each line; ``1,23E+09`` unquoted in the last column of a comma-separated line; comments and
+other lines before the header, and units below it (``table_header``); dates and times of the day,
+read as seconds, and seconds with a column of their fraction (``time_cells``). A last line
 without its end that does not read is taken for a torn write: it is left out and named in
 ``damage``. Any other cell that is not a number is an error with its line and column.
 """
 
 from __future__ import annotations
 
+import io
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.table_header import (
-    SPLIT_EXPONENT,
-    find_header,
-    is_number,
-    plain,
+from groundstation.recording.table_header import SPLIT_EXPONENT, find_header, is_number, plain
+from groundstation.recording.time_cells import (
+    CELLS,
+    FRACTION,
+    UNNAMED_TIME,
+    begins_anew,
+    fractions_of,
+    go_on,
+    seconds_of,
 )
 
 BLOCK_BYTES = 8 << 20
 _HEAD_BYTES = 1 << 16
+_SHOWN_BYTES = 1 << 20
+"""Of a file's first rows, by whose texts its columns are judged."""
+MISSING = (
+    *(b"", b"NA", b"N/A", b"n/a", b"#N/A", b"<NA>", b"NULL", b"null", b"None", b"none", b"-", b"?"),
+    *(b"NaN", b"nan", b"1.#QNAN", b"-1.#IND", b"1.#IND", b"#NV"),
+)
+"""Cells without a value, as spreadsheets, R, pandas, databases and C write them."""
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+"""With which Excel's "Unicode text" begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +62,9 @@ class Block:
 
     def error(self, row: int, column: int, why: str) -> BadInputError:
         """An error that names the line and column of ``values[row, column]``."""
-        filled = [n for n, line in enumerate(self._text.split(b"\n")) if line.strip()]
-        return self.table.cell_error(self._first_line + filled[row], self.columns[column], why)
+        filled = [n for n, line in enumerate(self._text.split(b"\n")) if line.strip(b" \r")]
+        line = filled[min(row, len(filled) - 1)]  # a row of tabs alone is one as well
+        return self.table.cell_error(self._first_line + line, self.columns[column], why)
 
 
 @dataclass(slots=True)
@@ -58,6 +76,10 @@ class TextTable:
     units: one per name, as the file says them, "" where it does not.
     said: key -> text of lines before the header.
     damage: filled while reading.
+    text: the whole, where the file is not in UTF-8 or Latin-1. only: a column's place and the value
+        that it has in the rows that are read, None: all.
+    dated: places of columns of dates or times of the day, and after how many s they begin anew.
+    fractions: place of whole seconds -> that of their fraction, and its unit in s.
     """
 
     path: Path
@@ -67,8 +89,61 @@ class TextTable:
     damage: list[str] = field(default_factory=list)
     _data_offset: int = 0
     _data_line: int = 1
+    _shown: list[list[bytes]] | None = None
     units: list[str] = field(default_factory=list)
     said: dict[str, str] = field(default_factory=dict)
+    text: bytes | None = None
+    only: tuple[int, str] | None = None
+    dated: dict[int, float] = field(default_factory=dict)
+    fractions: dict[int, tuple[int, float]] = field(default_factory=dict)
+
+    def first_cells(self, column: int) -> list[str]:
+        """The cells of a column in the first rows, and in the last."""
+        if self._shown is None:
+            with self._open() as file:
+                file.seek(self._data_offset)
+                head = file.read(_SHOWN_BYTES)
+                size = file.seek(0, io.SEEK_END)
+                file.seek(max(file.tell() - _SHOWN_BYTES // 16, self._data_offset + len(head)))
+                tail = file.read()
+            whole = self._data_offset + len(head) >= size
+            lines = head.split(b"\n") if whole else head.split(b"\n")[:-1]
+            lines += tail.split(b"\n")[1:]
+            rows = [plain(one, self.separator, keep_commas=True) for one in lines if one.strip()]
+            cells = [one.split(self.separator) for one in rows]
+            self._shown = [one for one in cells if len(one) == self.width]
+        return [row[column].decode("latin-1").strip().strip('"') for row in self._shown]
+
+    def first_numbers(self, name: str) -> NDArray[np.float64] | None:
+        """The first numbers of a column, NaN in an empty cell; None where a cell is none."""
+        place = self.names.index(name)
+        values = self._shown_numbers(place)
+        if values is not None and place in self.fractions:
+            other, size = self.fractions[place]
+            fraction = self._shown_numbers(other)
+            return None if fraction is None else values + size * fraction
+        return values
+
+    def _shown_numbers(self, place: int) -> NDArray[np.float64] | None:
+        cells = [one.encode("latin-1") for one in self.first_cells(place)]
+        if self.separator != b",":
+            cells = [one.replace(b",", b".") for one in cells]
+        values = [self._value(cell, place) for cell in cells]
+        known = [one for one in values if one is not None]
+        if len(known) < len(values) or all(map(math.isnan, known)):
+            return None
+        return np.array(known)
+
+    def _value(self, cell: bytes, column: int) -> float | None:
+        """The number of a cell, NaN where it is empty, None where it is none."""
+        if cell in MISSING:
+            return math.nan
+        if column in self.dated:
+            return (seconds_of(cell.decode("latin-1")) or (None,))[0]
+        return float(cell) if is_number(cell) else None
+
+    def _open(self) -> BinaryIO:
+        return self.path.open("rb") if self.text is None else io.BytesIO(self.text)
 
     def blocks(self, columns: Sequence[int], *, whole: bool = False) -> Iterator[Block]:
         """The numbers in ``columns`` (positions in a row), in blocks of many rows.
@@ -77,13 +152,20 @@ class TextTable:
 
         Raises BadInputError naming line and column of a cell that does not read.
         """
+        fractions = {
+            k: self.fractions[one] for k, one in enumerate(columns) if one in self.fractions
+        }
+        wanted = [*columns, *(place for place, _ in fractions.values())]
+        before_s = dict.fromkeys(self.dated, np.nan)
         for first_line, text, torn in self._texts():
             if not text.strip():
                 continue
             try:
-                block = Block(
-                    self, columns, self._numbers(text, first_line, columns, whole), text, first_line
-                )
+                numbers = self._numbers(text, first_line, wanted, whole)
+                for further, (place, (_, size)) in enumerate(fractions.items(), len(columns)):
+                    numbers[:, place] += size * numbers[:, further]
+                go_on(numbers, columns, self.dated, before_s)
+                block = Block(self, columns, numbers[:, : len(columns)], text, first_line)
                 if whole:
                     _require_whole(block)
             except BadInputError as error:
@@ -102,18 +184,31 @@ class TextTable:
     def _texts(self) -> Iterator[tuple[int, bytes, bool]]:
         """Number of the first line, plain lines, and whether they lack their end."""
         line, rest = self._data_line, b""
-        with self.path.open("rb") as file:
+        with self._open() as file:
             file.seek(self._data_offset)
             while chunk := file.read(BLOCK_BYTES):
                 cut = chunk.rfind(b"\n") + 1
                 if cut == 0:
                     rest += chunk
                     continue
-                text = self._normalise(rest + chunk[:cut])
+                text = self._normalise(self._chosen(rest + chunk[:cut]))
                 rest = chunk[cut:]
                 yield line, text, False
                 line += text.count(b"\n")
-        yield line, self._normalise(rest), True
+        yield line, self._normalise(self._chosen(rest)), True
+
+    def _chosen(self, text: bytes) -> bytes:
+        """Lines of the rows that were asked for, the others empty."""
+        if self.only is None:
+            return text
+        column, value = self.only
+        kept = []
+        for line in text.split(b"\n"):
+            cells = plain(line, self.separator, keep_commas=True).split(self.separator)
+            there = len(cells) > column
+            cell = cells[column].decode("latin-1").strip().strip('"') if there else ""
+            kept.append(line if cell == value else b"")
+        return b"\n".join(kept)
 
     def _normalise(self, text: bytes) -> bytes:
         """Plain cells: no quotes, decimal points, one separator, line feeds only."""
@@ -127,7 +222,7 @@ class TextTable:
     def _numbers(
         self, text: bytes, first_line: int, columns: Sequence[int], whole: bool
     ) -> NDArray[np.float64]:
-        from pyarrow import ArrowInvalid, BufferReader, csv, float64
+        from pyarrow import BufferReader, csv, float64, string
 
         wanted = [str(column) for column in columns]
         try:
@@ -136,14 +231,24 @@ class TextTable:
                 csv.ReadOptions(column_names=list(map(str, range(self.width))), use_threads=False),
                 csv.ParseOptions(delimiter=self.separator.decode(), quote_char=False),
                 csv.ConvertOptions(
-                    include_columns=wanted,
-                    column_types=dict.fromkeys(wanted, float64()),
-                    null_values=[] if whole else [""],
+                    include_columns=list(dict.fromkeys(wanted)),
+                    column_types=dict.fromkeys(wanted, float64())
+                    | dict.fromkeys(map(str, self.dated), string()),
+                    null_values=[] if whole else [one.decode() for one in MISSING],
                 ),
             )
-        except ArrowInvalid:
+            return np.column_stack([self._column(table.column(k), int(k)) for k in wanted])
+        except ValueError:  # ArrowInvalid as well
             return self._one_by_one(text, first_line, columns, whole)
-        return np.column_stack([table.column(name).to_numpy() for name in wanted])
+
+    def _column(self, column: Any, place: int) -> NDArray[np.float64]:
+        """A column of Arrow's as numbers. Raises ValueError where a date is none."""
+        if place not in self.dated:
+            return np.asarray(column.to_numpy())
+        found = [self._value(cell.strip().encode(), place) for cell in column.to_pylist()]
+        if None in found:
+            raise ValueError
+        return np.array(found, np.float64)
 
     def _one_by_one(
         self, text: bytes, first_line: int, columns: Sequence[int], whole: bool
@@ -160,13 +265,17 @@ class TextTable:
                     f"{self.path}, line {number}: {len(cells)} fields, "
                     f"but the lines before have {self.width}"
                 )
-            chosen = [cells[column].strip() for column in columns]
-            for column, cell in zip(columns, chosen, strict=True):
-                if (cell or whole) and not is_number(cell):
+            row = []
+            for column in columns:
+                cell = cells[column].strip()
+                value = self._value(cell, column)
+                if value is None or (whole and cell in MISSING):
                     shown = cell[:40].decode("latin-1")
-                    why = f"{shown!r} is not a number" if cell else "the cell is empty"
+                    kind = "date or time" if column in self.dated else "number"
+                    why = f"{shown!r} is not a {kind}" if cell else "the cell is empty"
                     raise self.cell_error(number, column, why)
-            rows.append([float(cell) if cell else np.nan for cell in chosen])
+                row.append(value)
+            rows.append(row)
         return np.array(rows)
 
 
@@ -179,25 +288,26 @@ def open_table(path: Path, skip: int = 0) -> TextTable:
     Raises RecordingError where the file cannot be opened, BadInputError where it is empty or
     not a table of text.
     """
-    head, offset = _head(path)
+    head, offset, text = _head(path)
     lines = [one for one in _lines(head, offset) if one[0] > skip]
     if len(head) == _HEAD_BYTES and len(lines) > 1:
         lines.pop()  # possibly cut
     if not lines:
         raise BadInputError(f"{path}: nothing behind the first {skip} lines")
-    announced = re.fullmatch(rb"sep=([,;\t])", lines[0][2].strip())
+    announced = re.fullmatch(rb"sep=([,;\t|])", lines[0][2].strip())
     if announced and len(lines) > 1:
         lines = lines[1:]
     found = find_header([line for _, _, line in lines], announced.group(1) if announced else b"")
     layout = TextTable(path, found.separator, found.names, len(found.names), [])
-    layout.said, layout.units = found.said, found.units
+    layout.said, layout.units, layout.text = found.said, found.units, text
     if found.data < len(lines):
         layout._data_line, layout._data_offset, first = lines[found.data]
         if found.names:
             row = plain(first, found.separator)
             layout.names = _align(found.names, row, found.separator)
-            if layout.names[:1] == [""]:
-                layout.units = ["", *layout.units]
+            if len(layout.names) > len(found.names):
+                behind = layout.names[-1] == ""
+                layout.units = [*found.units, ""] if behind else ["", *found.units]
         else:
             layout.width = len(
                 plain(first, found.separator, keep_commas=True).split(found.separator)
@@ -205,11 +315,33 @@ def open_table(path: Path, skip: int = 0) -> TextTable:
     else:
         layout._data_line, layout._data_offset = lines[-1][0] + 1, len(head)
     layout.width = len(layout.names) or layout.width
+    layout.units = layout.units or [""] * layout.width
+    _find_times(layout, [line for _, _, line in lines[found.data : found.data + CELLS]])
     return layout
 
 
-def _head(path: Path) -> tuple[bytes, int]:
-    """The file's first bytes, and where its text begins."""
+def _find_times(table: TextTable, lines: Sequence[bytes]) -> None:
+    """Find the columns of dates and times of the day, by a table's first lines, and the seconds
+    that have their fraction beside them. The index of pandas without a name is called time."""
+    rows = [plain(one, table.separator, keep_commas=True).split(table.separator) for one in lines]
+    for place in range(table.width):
+        cells = [row[place].strip() for row in rows if len(row) > place]
+        period_s = begins_anew(one.decode("latin-1") for one in cells if one not in MISSING)
+        if period_s is not None:
+            table.dated[place] = period_s
+            if table.names and not table.names[place] and UNNAMED_TIME not in table.names:
+                table.names[place] = UNNAMED_TIME
+    named = [one for one in table.names if table.names.count(one) == 1]
+    for whole, (rest, size) in fractions_of(named, table.first_numbers).items():
+        other = table.names.index(rest)
+        table.fractions[table.names.index(whole)] = other, size
+        table.units[other] = FRACTION
+    for place in (*table.dated, *table.fractions):
+        table.units[place] = "s"
+
+
+def _head(path: Path) -> tuple[bytes, int, bytes | None]:
+    """The file's first bytes, where its text begins, and all of it where it is UTF-16."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
@@ -217,11 +349,20 @@ def _head(path: Path) -> tuple[bytes, int]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     if not head.strip():
         raise BadInputError(f"{path}: the file is empty")
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise BadInputError(f"{path}: the text is UTF-16; save it as CSV (UTF-8)")
+    if head[:2] in UTF_16:
+        try:
+            text = path.read_bytes().decode("utf-16").encode()
+        except UnicodeDecodeError as error:
+            raise BadInputError(
+                f"{path}: the text begins as UTF-16 and does not go on so (byte {error.start});"
+                " save it as CSV (UTF-8)"
+            ) from error
+        if not text.strip():
+            raise BadInputError(f"{path}: the file is empty")
+        return text[:_HEAD_BYTES], 0, text
     if b"\0" in head.split(b"\n", 1)[0]:
         raise BadInputError(f"{path}: not a text file")
-    return head, 3 if head.startswith(b"\xef\xbb\xbf") else 0
+    return head, 3 if head.startswith(b"\xef\xbb\xbf") else 0, None
 
 
 def _lines(head: bytes, offset: int) -> Iterator[tuple[int, int, bytes]]:

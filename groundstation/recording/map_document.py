@@ -17,7 +17,8 @@ begin elsewhere: the numbers tell it, or ``told_by`` a line before the header th
 and largest. ``sign = -1`` turns an axis into the design's frame: body x forward, y left,
 z up; roll left side up, pitch nose down, yaw counter-clockwise positive. Fields: time;
 battery; duty.m1..m4; gyro.x..z; accelerometer.x..z; attitude.roll, .pitch, .yaw or
-quaternion.w..z; rotor.m1..m4; debug. Only time is required. A field may list several columns: the
+quaternion.w..z; rotor.m1..m4; debug. Only time is required: a column, or ``step``, the seconds from
+one row to the next, where the file has none. A field may list several columns: the
 first that the file has is taken. ``[tables]`` names further columns, kept as they stand under a
 name of their own. Of the map itself:
 
@@ -26,8 +27,9 @@ name of their own. Of the map itself:
 - ``partial``: any column but time may be missing; ``signature``: columns by which such a file is
   recognised (without: all of them).
 - ``yaw_from``: where a yaw of 0 looks.
-- ``skip``: lines before the header. ``only``: parameter of a log -> values without which its motors
-  are not those of a quadrotor, and left out.
+- ``skip``: lines before the header.
+- ``commands``: its motors are a Crazyflie's ``motor.m1..m4`` under other names: of old firmware the
+  thrust that was asked for (``thrust_command``).
 - ``kind``, ``rows``: in a log of many series (``"ulog"``, ``"rosbag"``) a column is
   ``SERIES.FIELD`` and ``rows`` the series that gives the rows: ``series_map`` reads those.
 
@@ -110,10 +112,18 @@ class Column(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Clock(msgspec.Struct, forbid_unknown_fields=True):
-    """Where device time comes from."""
+    """Where device time comes from: a column, or ``step``, s from row to row of a file without.
+    unit: of the column; empty: the header's, or what its numbers tell."""
 
-    column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
-    unit: str
+    column: (
+        Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)] | None
+    ) = None
+    unit: str = ""
+    step: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.column is None) == (self.step is None):
+            raise ValueError("[time] needs either a column or a step")
 
 
 class Plain(msgspec.Struct, forbid_unknown_fields=True):
@@ -176,7 +186,7 @@ class ColumnMap(msgspec.Struct, forbid_unknown_fields=True):
     kind: Kind = "csv"
     rows: str = ""
     skip: Annotated[int, msgspec.Meta(ge=0)] = 0
-    only: dict[str, list[int]] = {}
+    commands: bool = False
     yaw_from: Literal["east", "north"] = "east"
 
 

@@ -24,7 +24,9 @@ from groundstation.recording.map_document import (
     Kind,
     load_column_map,
 )
+from groundstation.recording.motor_columns import siblings
 from groundstation.recording.table_header import called
+from groundstation.recording.unit_guess import RATES_HZ, unit_of
 from groundstation.telemetry.packet import TICK_S
 
 _TICK_S = 1e-9
@@ -60,7 +62,8 @@ class Channel:
     scale: float
     zero: float | None = None
     units: tuple[str, ...] = ()
-    """In which of these the cells are; more than one until ``decided``."""
+    """In which of these the cells are; more than one until ``decided``. Of time: none where it is
+    the map that says so, and not the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +92,23 @@ SILENT = Said()
 @dataclass(frozen=True, slots=True)
 class Plan:
     """What is read: channels with time first, columns for tables, the tick in s, and the map as
-    text for the recording's metadata."""
+    text for the recording's metadata. step_s: between rows that have no time; 0: they have. beside:
+    columns that are named like the motors', of which no more than four may move. by_angles: the
+    attitude is the angles', for the quaternion rests."""
 
     channels: tuple[Channel, ...]
     kept: tuple[Channel, ...]
     tick_s: float
     text: dict[str, str]
     from_north: bool = False
+    step_s: float = 0.0
+    beside: tuple[Channel, ...] = ()
+    by_angles: bool = False
+
+    @property
+    def wanted(self) -> tuple[Channel, ...]:
+        """Every column that is read, in this order."""
+        return (*self.channels, *self.kept, *self.beside)
 
 
 def plan_of(
@@ -110,14 +123,19 @@ def plan_of(
 
     Raises BadInputError for a unit that is none, and where a partial map finds nothing but time.
     """
-    time_unit = column_map.time.unit
-    _scale("time", "time", time_unit, path)
-    said = header.unit_of(column_map.time.column)
-    time_unit = said if said in UNITS["time"] else time_unit
-    tick_s = TICK_S if time_unit == "ticks" else _TICK_S
-    time_scale = UNITS["time"][time_unit] / tick_s
-    channels = [Channel("time", column_map.time.column, "ticks", None, time_scale)]
-    text = {"time": f"{column_map.time.column} {time_unit}"}
+    clock = column_map.time
+    channels, tick_s = [], _TICK_S
+    text = {"time": f"a row every {clock.step:g} s" if clock.step else ""}
+    if clock.column is not None:
+        said = header.unit_of(clock.column)
+        time_unit = said if said in UNITS["time"] else clock.unit
+        if time_unit:
+            _scale("time", "time", time_unit, path)
+        tick_s = TICK_S if time_unit == "ticks" else _TICK_S
+        time_scale = UNITS["time"][time_unit or "s"] / tick_s
+        units = tuple(UNITS["time"]) if not time_unit else (said,) if said == time_unit else ()
+        channels = [Channel("time", clock.column, "ticks", None, time_scale, units=units)]
+        text = {"time": f"{clock.column} {time_unit}".rstrip()}
     for key, quantity, field, index, choice in _columns(column_map):
         listed = choice if isinstance(choice, list) else [choice]
         for one in listed:
@@ -135,7 +153,7 @@ def plan_of(
     if column_map.debug is not None:
         channels.append(Channel("debug", column_map.debug.column, "debug", None, 1.0))
         text["debug"] = str(column_map.debug.column)
-    if column_map.partial and len(channels) == 1:
+    if column_map.partial and all(one.key == "time" for one in channels):
         raise BadInputError(f"{path}: the file has none of the columns that this map knows")
     kept = tuple(
         Channel(f"tables.{name}", column, name, None, 1.0)
@@ -143,15 +161,37 @@ def plan_of(
         for column in columns
         if names is None or not column_map.partial or column in names
     )
-    return Plan(tuple(channels), kept, tick_s, text, column_map.yaw_from == "north")
+    motors = [str(one.column) for one in channels if one.field == "duty"]
+    beside = tuple(
+        Channel(f"beside.{name}", name, "beside", None, 1.0)
+        for name in siblings(motors, set(names or ()) - {str(one.column) for one in channels})
+    )
+    north = column_map.yaw_from == "north"
+    return Plan(tuple(channels), kept, tick_s, text, north, clock.step or 0.0, beside)
 
 
-def decided(plan: Plan, values: NDArray[np.float64]) -> tuple[Plan, dict[str, str]]:
-    """The plan with one unit for each field where the map leaves several that begin elsewhere, told
-    by the first numbers (n, k) of a file; and what they leave open, in words by field.
+def decided(
+    plan: Plan, values: NDArray[np.float64], named: bool = False
+) -> tuple[Plan, dict[str, str]]:
+    """The plan with one unit for each field where the map leaves several that begin elsewhere, or
+    that of time, and angles in the place of a quaternion that rests, told by the first numbers
+    (n, k) of a file; and what they leave open, by field.
+
+    named: by a map that ships: its unit of time holds as far as the numbers allow it.
 
     Pulses that rest lie between 1000 and 2000 and stand at exactly 1000, DShot at 0 or 48.
     """
+    clock_open = bool(plan.channels) and plan.channels[0].key == "time" and len(values) > 0
+    units = plan.channels[0].units if clock_open else ()
+    doubted = not units and named
+    if clock_open and (len(units) > 1 or (doubted and _cannot_be(plan, values[:, 0]))):
+        unit, _ = unit_of("time", [values[:, 0]])
+        clock = replace(plan.channels[0], scale=UNITS["time"][unit] / plan.tick_s, units=())
+        text = {**plan.text, "time": f"{clock.column} {unit} by its numbers"}
+        plan = replace(plan, channels=(clock, *plan.channels[1:]), text=text)
+    if _moves(plan, "attitude", values) and not _moves(plan, "quaternion", values):
+        text = {key: one for key, one in plan.text.items() if not key.startswith("quaternion.")}
+        plan = replace(plan, by_angles=True, text=text)
     open_fields = [k for k, one in enumerate(plan.channels) if len(one.units) > 1]
     if not open_fields or not len(values):
         return plan, {}
@@ -180,6 +220,23 @@ def decided(plan: Plan, values: NDArray[np.float64]) -> tuple[Plan, dict[str, st
         channels[k] = replace(one, scale=scale, zero=ZERO[chosen], units=(chosen,))
     text = {key: said.replace(" or ".join(units), chosen) for key, said in plan.text.items()}
     return replace(plan, channels=tuple(channels), text=text), unclear
+
+
+def _moves(plan: Plan, field: str, values: NDArray[np.float64]) -> bool:
+    """Whether any column of a field changes within the first rows (n, k)."""
+    columns = [values[:, k] for k, one in enumerate(plan.channels) if one.field == field]
+    known = [one[np.isfinite(one)] for one in columns]
+    return any(len(one) and bool((one != one[0]).any()) for one in known)
+
+
+def _cannot_be(plan: Plan, time: NDArray[np.float64]) -> bool:
+    """Whether no log has as many rows a second as the time's unit makes of the numbers (n,)."""
+    steps = np.diff(time[np.isfinite(time)])
+    steps = steps[steps > 0.0]
+    if not len(steps):
+        return False
+    step_s = float(np.median(steps)) * plan.channels[0].scale * plan.tick_s
+    return not RATES_HZ[0] <= 1.0 / step_s <= RATES_HZ[1]
 
 
 def _fitting(kind: Kind, names: set[str]) -> str | None:

@@ -11,19 +11,33 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.column_map import (
+    NOTES_METADATA,
+    UNCLEAR_METADATA,
+    mapped_columns,
+)
 from groundstation.recording.craft_family import TODAY
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
-from groundstation.recording.microsd_channels import samples_from_columns
+from groundstation.recording.microsd_channels import (
+    COMMANDS,
+    motor_columns_of,
+    samples_from_columns,
+)
 from groundstation.recording.microsd_scan import CRC_BYTES, longest_in_order, scan, scan_damaged
 from groundstation.recording.row_order import ROWS_METADATA, in_order
 from groundstation.recording.session import Recording, Table
+from groundstation.recording.thrust_command import DIFFERS, differs, settle_duty
+from groundstation.telemetry.packet import FULL_16_BIT
+from groundstation.telemetry.samples import SampleBatch
 
 MAGIC = 0xBC
 TICK_S = 1e-6
@@ -58,8 +72,23 @@ class _Layout:
     first_record: int
 
 
-def read_microsd(path: Path) -> Recording:
+@dataclass(frozen=True, slots=True)
+class _Content:
+    """tables: every event. columns, time_us: of the fixed-frequency one, in order. damage: in
+    words."""
+
+    version: int
+    tables: dict[str, Table]
+    columns: dict[str, NDArray[Any]]
+    time_us: NDArray[np.int64]
+    damage: list[str]
+
+
+def read_microsd(path: Path, source: str | Path | None = None) -> Recording:
     """Read a microSD log: every event in ``tables``, the fixed-frequency one as samples.
+
+    source: a column map, whose columns are the variables of that event and ``time``, us; None: the
+    firmware's names are known.
 
     Table columns keep the file's names and types; samples follow the design's units and
     signs (see ``microsd_channels``); the gyro's unit and its reason are in
@@ -69,8 +98,43 @@ def read_microsd(path: Path) -> Recording:
     ``damage``; everything that still reads is there.
 
     Raises RecordingError where the file cannot be opened, BadInputError where it is not a
-    microSD log or its header does not read.
+    microSD log or its header does not read, or as ``read_mapped_csv`` for the map.
     """
+    found = _content(path)
+    columns, damage = found.columns, found.damage
+    if source is not None:
+        given = {"time": found.time_us, **columns}
+        recording = mapped_columns(
+            path, list(given), lambda name: given[name].astype(np.float64), source, damage=damage
+        )
+        return replace(recording, kind="microsd", tables={**found.tables, **recording.tables})
+    samples, notes = samples_from_columns(columns, found.time_us, TICK_S, None)
+    samples, order = in_order(samples)
+    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, TICK_S, samples.segment)
+    settled, unclear = _settled(samples, columns)
+    return Recording(
+        path=path,
+        kind="microsd",
+        samples=samples,
+        tables=found.tables,
+        metadata={
+            **(
+                {NOTES_METADATA: {str(k): one for k, one in enumerate(settled, 1)}}
+                if settled
+                else {}
+            ),
+            **({UNCLEAR_METADATA: {"duty": unclear}} if unclear else {}),
+            "host_time": dict(SYNTHESISED),
+            "vehicle": {"family": TODAY, "because": "no 1.0 carries a microSD deck"},
+            "microsd": {"version": str(found.version), **notes},
+            **({ROWS_METADATA: order.notes} if order.notes else {}),
+        },
+        damage=damage,
+    )
+
+
+def _content(path: Path) -> _Content:
+    """What a log has, damaged or not. Raises as ``read_microsd``."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -101,22 +165,27 @@ def read_microsd(path: Path) -> Recording:
         damage.append(f"{(~usable).sum()} samples with an impossible time were left out")
         columns = {name: values[usable] for name, values in columns.items()}
         time_us = time_us[usable]
-    samples, notes = samples_from_columns(columns, time_us, TICK_S, None)
-    samples, order = in_order(samples)
-    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, TICK_S, samples.segment)
-    return Recording(
-        path=path,
-        kind="microsd",
-        samples=samples,
-        tables=tables,
-        metadata={
-            "host_time": dict(SYNTHESISED),
-            "vehicle": {"family": TODAY, "because": "no 1.0 carries a microSD deck"},
-            "microsd": {"version": str(layout.version), **notes},
-            **({ROWS_METADATA: order.notes} if order.notes else {}),
-        },
-        damage=damage,
-    )
+    return _Content(layout.version, tables, columns, time_us, damage)
+
+
+def _settled(samples: SampleBatch, columns: Mapping[str, NDArray[Any]]) -> tuple[list[str], str]:
+    """Make the motors' column the duty where it is a thrust command: notes, and what stays open,
+    either empty."""
+    motors = motor_columns_of(columns)
+    if motors.crowd:
+        return [], motors.crowd
+    notes = [motors.note] if motors.note else []
+    if motors.are_commands:
+        note, open_ = settle_duty(samples)
+        return [*notes, note] if note else notes, open_
+    for m, name in enumerate(COMMANDS):
+        command = columns.get(name)
+        if command is None or len(command) != len(samples):
+            continue
+        full = 255.0 if command.dtype.itemsize == 1 else FULL_16_BIT
+        if differs(command.astype(np.float64) / full, samples.duty[:, m].astype(np.float64)):
+            return [*notes, DIFFERS], ""
+    return notes, ""
 
 
 def _read_header(data: bytes, path: Path) -> _Layout:
@@ -140,12 +209,15 @@ def _read_header(data: bytes, path: Path) -> _Layout:
                 variable, position = _text(data, position)
                 match = _VARIABLE.fullmatch(variable)
                 if match is None or match[2] not in _LETTERS:
-                    raise ValueError(f"the variable {variable!r} has no known type")
+                    raise ValueError(f"the variable {variable} has no known type")
                 fields.append((match[1], _LETTERS[match[2]]))
             if number in events or any(event.name == name for event in events.values()):
                 raise ValueError(f"the event {name!r} is there twice")
             events[number] = _Event(name, np.dtype(fields))
-    except (struct.error, ValueError) as error:
+    except struct.error as error:
+        why = "it ends too early"
+        raise BadInputError(f"{path}: the header of the microSD log is damaged: {why}") from error
+    except ValueError as error:
         if isinstance(error, BadInputError):
             raise
         raise BadInputError(f"{path}: the header of the microSD log is damaged: {error}") from error
@@ -156,7 +228,10 @@ def _text(data: bytes, position: int) -> tuple[str, int]:
     end = data.find(b"\0", position)
     if end < 0:
         raise ValueError(f"a name at byte {position} has no end")
-    return data[position:end].decode("utf-8"), end + 1
+    try:
+        return data[position:end].decode("utf-8"), end + 1
+    except UnicodeDecodeError as error:
+        raise ValueError(f"the name at byte {position} is no text") from error
 
 
 def _gather(data: bytes, offsets: NDArray[np.int64], dtype: np.dtype[np.void]) -> NDArray[np.void]:

@@ -14,12 +14,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import attitude_of_quaternion, body_rates
+from groundstation.recording.motor_columns import changes, siblings, too_many
 from groundstation.telemetry.packet import FULL_16_BIT, STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 
@@ -28,8 +30,47 @@ Columns = Mapping[str, NDArray[Any]]
 
 GYRO_FULL_SCALE_DEG_S = 2000.0
 """Range of the gyro in every Crazyflie (MPU-9250, BMI088)."""
+COMMANDS = tuple(f"motor.m{m}" for m in range(1, 5))
+DUTIES = tuple(f"pwm.m{m}_pwm" for m in range(1, 5))
 _RATE_LAG = 10
 _TURNING_RAD_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class MotorColumns:
+    """names: of the four variables, of one source. note: why not of the duty's. crowd: why these
+    are no quadrotor's, or empty."""
+
+    names: tuple[str, ...]
+    note: str = ""
+    crowd: str = ""
+
+    @property
+    def are_commands(self) -> bool:
+        return self.names == COMMANDS
+
+
+def motor_columns_of(columns: Columns) -> MotorColumns:
+    """The duty's where all four are there and move, else the command's: never some of each."""
+    duties, commands = ([one for one in all_ if one in columns] for all_ in (DUTIES, COMMANDS))
+    names, note = (DUTIES if duties else COMMANDS), ""
+    if duties and len(commands) == 4:
+        if len(duties) < 4:
+            names, note = COMMANDS, f"only {', '.join(duties)} of pwm.m1_pwm to m4_pwm"
+        elif not _changes(columns, DUTIES).any() and _changes(columns, COMMANDS).any():
+            names, note = COMMANDS, "pwm.m1_pwm to m4_pwm never change"
+    elif duties and len(commands) > len(duties):
+        names, note = COMMANDS, f"only {', '.join(duties)} of pwm.m1_pwm to m4_pwm"
+    also = siblings([*COMMANDS, *DUTIES], list(columns))
+    there = [one for one in names if one in columns]
+    crowd = too_many(_changes(columns, there), _changes(columns, also), also) if also else ""
+    return MotorColumns(names, f"{note}: the motors are motor.m1 to m4" if note else "", crowd)
+
+
+def _changes(columns: Columns, names: Sequence[str]) -> NDArray[np.intp]:
+    if not names:
+        return np.zeros(0, np.intp)
+    return changes(np.column_stack([columns[name].astype(np.float64) for name in names]))
 
 
 @np.errstate(invalid="ignore")  # damage may leave a NaN that numpy signals when it is converted
@@ -45,13 +86,11 @@ def samples_from_columns(
     samples.ticks[:] = time_us
     _fill_attitude(samples, columns)
     _fill(samples.accelerometer, columns, [f"acc.{axis}" for axis in "xyz"], STANDARD_GRAVITY)
-    _fill(samples.rotor_rev_s, columns, [f"rpm.m{m}" for m in range(1, 5)], 1 / 60)
-    for names in (
-        [f"pwm.m{m}_pwm" for m in range(1, 5)],
-        [f"motor.m{m}" for m in range(1, 5)],
-    ):
-        kinds = {columns[name].dtype.itemsize for name in names if name in columns}
-        _fill(samples.duty, columns, names, 1 / 255 if kinds == {1} else 1 / FULL_16_BIT)
+    motors = motor_columns_of(columns)
+    if not motors.crowd:
+        kinds = {columns[name].dtype.itemsize for name in motors.names if name in columns}
+        _fill(samples.duty, columns, motors.names, 1 / 255 if kinds == {1} else 1 / FULL_16_BIT)
+        _fill(samples.rotor_rev_s, columns, [f"rpm.m{m}" for m in range(1, 5)], 1 / 60)
     for name, unit_v in (("pm.vbat", 1.0), ("pm.vbatMV", 1e-3)):
         if name in columns:
             samples.battery_v[:] = columns[name] * unit_v
@@ -109,16 +148,20 @@ def _body_rate(attitude: NDArray[np.float32], time_s: NDArray[np.float64]) -> ND
 
 def _fill_attitude(samples: SampleBatch, columns: Columns) -> None:
     quaternion = [f"stateEstimate.q{part}" for part in "wxyz"]
-    if all(name in columns for name in quaternion):
+    angles = [f"stateEstimate.{name}" for name in ("roll", "pitch", "yaw")]
+    whole = all(name in columns for name in quaternion)
+    if whole and all(name in columns for name in angles):  # of both, the one that moves
+        whole = bool(_changes(columns, quaternion).any() or not _changes(columns, angles).any())
+    if whole:
         samples.attitude[:] = attitude_of_quaternion(
             np.column_stack([columns[name] for name in quaternion])
         )
         return
-    angles = [f"stateEstimate.{name}" for name in ("roll", "pitch", "yaw")]
     _fill(samples.attitude, columns, angles, np.pi / 180)
     samples.attitude[:, 1] *= -1  # the firmware's pitch is nose up positive
 
 
+@np.errstate(over="ignore", invalid="ignore")  # beyond what a channel holds is no value
 def _fill(target: NDArray[np.float32], columns: Columns, names: Sequence[str], unit: float) -> None:
     for index, name in enumerate(names):
         if name in columns:

@@ -77,8 +77,8 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         raise BadInputError(f"{path}: {error.strerror or error}") from None
     except RecordingError:
         raise
-    except _UNREADABLE as error:
-        raise RecordingError(f"{path}: damaged, or no numpy file ({error})") from None
+    except _UNREADABLE:
+        raise RecordingError(f"{path}: damaged, or no numpy file; copy it again") from None
     missing = [name for name in ("packets", "arrival_s") if name not in found]
     if missing:
         raise RecordingError(

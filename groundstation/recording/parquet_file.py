@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,27 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
-from groundstation.recording.column_map import mapped_recording, place_of
-from groundstation.recording.map_document import map_for
-from groundstation.recording.map_plan import Said, decided, map_of_header, plan_of
+from groundstation.recording.column_map import mapped_columns
+from groundstation.recording.map_plan import Said
+from groundstation.recording.rows import EVERY_ROW, Rows
 from groundstation.recording.session import Recording
-from groundstation.recording.table_header import base_name, called
+from groundstation.recording.table_header import base_name
+from groundstation.recording.takes_turns import LOOKED_AT
+from groundstation.recording.time_cells import (
+    CELLS,
+    DAY_S,
+    FRACTION,
+    UNNAMED_TIME,
+    begins_anew,
+    fractions_of,
+    seconds_of,
+    unwrapped,
+)
 
+_WHOSE = ("string", "large_string", "dictionary", "int", "uint", "bool", "float", "double", "half")
+"""Types whose cells are shown as text."""
+_NO_NAME = "__index_level_"
+"""What pandas calls an index that has no name."""
 SHOWN = 12
 """Columns that an error names."""
 ROW_GROUP = 1 << 16
@@ -55,7 +71,7 @@ def write_parquet(recording: Recording, path: str | Path) -> None:
         raise RecordingError(f"{path}: cannot be written: {error}") from error
 
 
-def read_parquet(path: Path, source: str | Path | None = None) -> Recording:
+def read_parquet(path: Path, source: str | Path | None = None, rows: Rows = EVERY_ROW) -> Recording:
     """Read a table of another program by a column map (None: the named one that knows its columns).
 
     Raises BadInputError where no map fits, a column is missing or holds no numbers; RecordingError
@@ -73,42 +89,136 @@ def read_parquet(path: Path, source: str | Path | None = None) -> Recording:
                 f"{path}: a Parquet table of ours is written for other programs and not read back;"
                 " give the recording that it was made of"
             )
-        return _mapped(path, file, source)
-    except (OSError, ArrowException) as error:
-        why = str(error).partition("\n")[0]
-        raise RecordingError(f"{path}: a Parquet table that does not read: {why}") from error
+        return _mapped(path, file, source, rows)
+    except (OSError, ArrowException, UnicodeDecodeError) as error:
+        raise RecordingError(
+            f"{path}: a Parquet table that is damaged or was not finished; copy or write it again"
+        ) from error
 
 
-def _mapped(path: Path, file: Any, source: str | Path | None) -> Recording:
-    schema = file.schema_arrow
-    names = list(schema.names)
-    source = source or map_of_header(names)
-    if source is None:
-        raise BadInputError(
-            f"{path}: no known map fits its columns ({', '.join(names[:SHOWN])}); name one of"
-            " 'groundstation convert --list-columns' with --columns, or describe the columns in a"
-            " TOML file"
-        )
-    column_map, map_path = map_for(path, "csv", source)
-    units = dict(base_name(name) for name in names)
-    units |= {name: "ns" for name in names if str(schema.field(name).type).startswith("timestamp")}
-    plan = plan_of(column_map, map_path, called(names), Said(units))
-    wanted = [*plan.channels, *plan.kept]
-    places = [place_of(path, names, len(names), one, map_path) for one in wanted]
-    table = file.read(columns=sorted({names[place] for place in places}))
-    columns = [_numbers(path, table, names[place]) for place in places]
-    values = np.column_stack(columns)
-    plan, unclear = decided(plan, values)
-    recording = mapped_recording(path, plan, column_map, values, names, unclear)
+def _mapped(path: Path, file: Any, source: str | Path | None, rows: Rows) -> Recording:
+    table, units = with_times(file.read())
+    units |= {base_name(name)[0]: unit for name, unit in units.items()}
+    table = _of_one_craft(path, table, rows)
+    recording = mapped_columns(
+        path,
+        list(table.column_names),
+        partial(numbers_of, path, table),
+        source,
+        Said(dict(base_name(name) for name in table.column_names) | units),
+        rows=rows,
+        texts=partial(_texts, table),
+    )
     recording.kind = "parquet"
     return recording
 
 
-def _numbers(path: Path, table: Any, name: str) -> NDArray[np.float64]:
-    """A column as numbers, NaN where it has none; dates in ns."""
+def with_times(table: Any) -> tuple[Any, dict[str, str]]:
+    """An Arrow table with its times as numbers, and their units: dates and times of the day in ns,
+    as text in s, whole seconds with their fraction in s. The index of pandas has a name, and is
+    there where it is stored as a range alone."""
+    table, units = _with_index(table), {}
+    for place, name in enumerate(table.column_names):
+        found = _times(table.column(place))
+        if found is None:
+            continue
+        if name.startswith(_NO_NAME) and UNNAMED_TIME not in table.column_names:
+            name = UNNAMED_TIME
+        numbers, units[name] = found
+        table = table.set_column(place, name, numbers)
+    return _with_fractions(table, units)
+
+
+def _times(column: Any) -> tuple[Any, str] | None:
+    """A column's times as numbers, and their unit; None where it has none, or beyond what ns
+    reach."""
+    from pyarrow import ArrowInvalid, array, float64, types
+
+    kind = column.type
+    if types.is_string(kind) or types.is_large_string(kind):
+        period_s = begins_anew(one for one in column[:CELLS].to_pylist() if one)
+        if period_s is None:
+            return None
+        read = [seconds_of(one or "") for one in column.to_pylist()]
+        values = np.array([np.nan if one is None else one[0] for one in read])
+        return array(unwrapped(values, period_s), float64(), from_pandas=True), "s"
+    try:
+        if types.is_time(kind):
+            values = np.asarray(column.cast("time64[ns]").cast("int64").to_numpy(), np.float64)
+            return array(unwrapped(values, DAY_S * 1e9), from_pandas=True), "ns"
+        if types.is_timestamp(kind) or types.is_date(kind):
+            return column.cast("timestamp[ns]").cast("int64"), "ns"
+    except ArrowInvalid:
+        return None
+    return None
+
+
+def _with_fractions(table: Any, units: dict[str, str]) -> tuple[Any, dict[str, str]]:
+    """The same with the fraction of each column of whole seconds in it."""
+    from pyarrow import array
+
+    def numbers(name: str) -> NDArray[np.float64] | None:
+        try:
+            return numbers_of(Path(name), table, name)
+        except BadInputError:
+            return None
+
+    names = [one for one in table.column_names if table.column_names.count(one) == 1]
+    for whole, (rest, size) in fractions_of(names, numbers).items():
+        values = numbers_of(Path(whole), table, whole) + size * numbers_of(Path(rest), table, rest)
+        place = table.column_names.index(whole)
+        table = table.set_column(place, whole, array(values, from_pandas=True))
+        units |= {whole: "s", rest: FRACTION}
+    return table, units
+
+
+def _with_index(table: Any) -> Any:
+    """A table with the index of pandas that has a name and is stored as a range alone."""
+    from pyarrow import array
+
+    indices = (table.schema.pandas_metadata or {}).get("index_columns", [])
+    for index in indices:
+        if isinstance(index, dict) and index.get("kind") == "range" and index.get("name"):
+            steps = range(index["start"], index["stop"], index["step"])
+            if len(steps) == len(table) and index["name"] not in table.column_names:
+                table = table.append_column(index["name"], array(steps))
+    return table
+
+
+def _of_one_craft(path: Path, table: Any, rows: Rows) -> Any:
+    """The rows that are asked for. Raises BadInputError where there are none."""
+    if rows.only is None:
+        return table
+    names = list(table.column_names)
+    name, value = rows.only
+    if name not in names:
+        raise BadInputError(f"{path}: --only {name}={value}: there is no column {name!r}")
+    kept = [_same(one, value) for one in table.column(name).to_pylist()]
+    if not any(kept):
+        listed = ", ".join(list(dict.fromkeys(map(str, table.column(name).to_pylist())))[:SHOWN])
+        raise BadInputError(f"{path}: --only {name}={value}: the column has {listed}")
+    return table.filter(kept)
+
+
+def _same(cell: Any, value: str) -> bool:
+    """Whether a cell is what the user asked for: 1 and 1.0 are the same."""
+    return str(cell) == value or (isinstance(cell, float) and str(cell).removesuffix(".0") == value)
+
+
+def _texts(table: Any, place: int) -> list[str]:
+    """The cells of a column in the first rows, and in the last."""
+    column = table.column(place)
+    if not str(column.type).startswith(_WHOSE):
+        return []
+    ends = [column.slice(0, LOOKED_AT), column.slice(max(LOOKED_AT, len(column) - LOOKED_AT))]
+    return ["" if one is None else str(one) for end in ends for one in end.to_pylist()]
+
+
+def numbers_of(path: Path, table: Any, name: str) -> NDArray[np.float64]:
+    """A column as numbers, NaN where it has none.
+
+    Raises BadInputError where it holds none."""
     column = table.column(name)
-    if str(column.type).startswith(("timestamp", "date")):
-        column = column.cast("timestamp[ns]").cast("int64")
     try:
         return np.asarray(column.to_numpy(), np.float64)
     except (TypeError, ValueError) as error:

@@ -1,13 +1,13 @@
 """Can it be? What a quadrotor's channels can hold, and whether they agree with each other.
 
-A range for each channel, values that are missing or never change, and what is measured twice: the
-rate at which the attitude turns and the gyro, specific force at rest and 1 g, motors and whether
-the craft lies still or flies. Every format is judged alike, after it was read.
+A range for each channel (``soundness`` judges samples by it), values that are missing, and what is
+measured twice: the rate at which the attitude turns and the gyro, specific force at rest and 1 g,
+motors and whether the craft lies still or flies. Every format is judged alike, after it was read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import body_rates
-from groundstation.errors import BadInputError
-from groundstation.recording.channels import CHANNELS, Channel
-from groundstation.recording.session import Recording
+from groundstation.recording.channels import CHANNELS
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-from groundstation.telemetry.renewal import renewals
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
@@ -40,7 +37,7 @@ class Kind:
 
 KINDS = {
     "battery_v": Kind(2.0, 60.0, False),
-    "duty": Kind(-0.001, np.inf, True),  # beyond full duty has a count of its own
+    "duty": Kind(-0.001, np.inf, True),  # beyond full duty is judged apart
     "gyro": Kind(-4000.0, 4000.0, True),
     "accelerometer": Kind(-50.0, 50.0, True),
     "attitude": Kind(-180.5, 180.5, False),
@@ -48,20 +45,10 @@ KINDS = {
 }
 """By field. One cell nearly empty to fourteen full; gyros end at 2000 or 4000 deg/s, accelerometers
 at 2 to 32 g; the smallest rotors that fly stay below 80 000 rev/min. Yaw may count turns."""
-FITTED = ("battery_v", "duty", "gyro", "accelerometer", "rotor_rev_s")
-"""Fields that fits take."""
-REFUSED = 0.1
-"""Share of impossible samples from which a unit or a scale is wrong, and no fit is worth its while;
-fewer are spikes."""
 SLOWEST_HZ, FASTEST_HZ = 20.0, 10_000.0
 """Samples a second between which telemetry of a flight is: else the clock's unit is another."""
 MISSING = 0.02
 """Share of missing values worth a word: sources of a log begin one after the other."""
-STUCK_S, STUCK_ROWS, OTHERS_MOVE = 0.5, 50, 0.2
-"""How long a channel keeps one value until it is stuck, and the share of these samples in which the
-others of its kind change."""
-RESTS, FULL = 0.01, 0.99
-"""Duties at which a motor may stand for long: off, and saturated."""
 BLOCKS, BLOCK_ROWS = 16, 1500
 """Samples that redundancy is judged on: blocks spread evenly over a recording."""
 WINDOW_S = 0.04
@@ -79,63 +66,33 @@ IDLE, BARELY = 0.25, 0.05
 """Duty above which no motor idles on the ground, and below which none flies."""
 
 
-def require_possible(recording: Recording, fields: Collection[str] = FITTED) -> None:
-    """Raises BadInputError where much of what a fit needs cannot be: a unit or a scale is wrong."""
-    samples = recording.samples
-    ranges = {name: (one["min"], one["max"]) for name, one in ranges_of(samples)[0].items()}
-    for field in fields:
-        channels = [one for one in CHANNELS if one.field == field and one.name in ranges]
-        for count, line in _beyond(samples, KINDS[field], channels, ranges):
-            if count > REFUSED * len(samples):
-                raise BadInputError(
-                    f"{recording.path.name}: {line}; 'groundstation inspect' shows every channel,"
-                    " a column map says another unit"
-                )
-
-
-def impossible(
+def absent(
     samples: SampleBatch, known: dict[str, int], ranges: dict[str, tuple[float, float]]
 ) -> Iterator[str]:
-    """Values that cannot be, or are not there. known: channel -> samples that have it. ranges:
-    channel -> least and largest in its shown unit."""
-    for field, kind in KINDS.items():
+    """Values that are not there, and motors that hardly turn in flight. known: channel -> samples
+    that have it. ranges: channel -> least and largest in its shown unit."""
+    for field in KINDS:
         channels = [one for one in CHANNELS if one.field == field and one.name in ranges]
-        yield from (line for _, line in _beyond(samples, kind, channels, ranges))
-        absent = {one.name: len(samples) - known[one.name] for one in channels}
-        for count in sorted(set(absent.values())):
+        lost = {one.name: len(samples) - known[one.name] for one in channels}
+        for count in sorted(set(lost.values())):
             if count > MISSING * len(samples):
-                names = ", ".join(name for name, one in absent.items() if one == count)
+                names = ", ".join(name for name, one in lost.items() if one == count)
                 yield f"{names} missing in {count} of {len(samples)} samples"
     flown = ranges.get("duty_1", (0.0, 1.0))[1]
     if 0.0 < flown < BARELY and _flies(samples):
         yield f"the motors' duty never exceeds {flown:.2g} though the craft flies: check its unit"
-
-
-def _beyond(
-    samples: SampleBatch,
-    kind: Kind,
-    channels: Sequence[Channel],
-    ranges: dict[str, tuple[float, float]],
-) -> Iterator[tuple[int, str]]:
-    """Samples in which channels of a kind hold what it cannot, and a line that says so."""
-    rows = np.zeros(len(samples), np.bool_)
-    worst, names = (0.0, 0.0, ""), []
-    for channel in channels:
-        least, most = (-np.inf, np.inf) if channel.name == "yaw" else (kind.low, kind.high)
-        low, high = ranges[channel.name]
-        if low < least or high > most:
-            shown = channel.shown(samples)
-            rows |= (shown < least) | (shown > most)
-            worst = max(worst, (least - low, low, channel.unit), (high - most, high, channel.unit))
-            names.append(channel.name)
-    if names:
-        value = f"{worst[1]:.4g} {worst[2]}".removesuffix(" 1")
-        count = int(rows.sum())
-        yield (
-            count,
-            f"{', '.join(names)} up to {value}, which cannot be, in {count} of"
-            f" {len(samples)} samples: check unit and scale",
-        )
+    duty = [
+        range_ for name, range_ in ranges.items() if name.startswith("duty_") and "step" not in name
+    ]
+    if len(duty) == 4 and all(low == high == 0.0 for low, high in duty):
+        if _flies(samples):
+            yield (
+                "the motors are off throughout while the craft turns: it was moved by hand, or"
+                " their duty is not in the file"
+            )
+    elif len(duty) == 4 and all(low == high for low, high in duty) and _flies(samples):
+        shown = f"{duty[0][0]:.2g}" if len({*duty}) == 1 else "each the same"
+        yield f"the motors' duty is {shown} throughout though the craft turns as in flight"
 
 
 def ranges_of(samples: SampleBatch) -> tuple[dict[str, dict[str, Any]], dict[str, int]]:
@@ -155,46 +112,6 @@ def ranges_of(samples: SampleBatch) -> tuple[dict[str, dict[str, Any]], dict[str
                 "mean": float(shown.mean()) * channel.scale,
             }
     return ranges, known
-
-
-def motionless(samples: SampleBatch, period_s: float) -> Iterator[str]:
-    """Channels that keep one value while others of their kind change."""
-    least = max(STUCK_ROWS, round(STUCK_S / max(period_s, 1e-6)))
-    for field, kind in KINDS.items():
-        values = getattr(samples, field)
-        if not kind.moves or not _stands(values, least):
-            continue
-        parts = [renewals(values[:, k]) for k in range(values.shape[1])]
-        channels = [one for one in CHANNELS if one.field == field]
-        for index, (channel, rows) in enumerate(zip(channels, parts, strict=True)):
-            others = [one for k, one in enumerate(parts) if k != index and len(one) > 1]
-            if not len(rows) or not others:
-                continue
-            first = int(rows[0])
-            value = float(channel.of(samples)[first]) * channel.scale
-            if len(rows) == 1:
-                if max(map(len, others)) > STUCK_ROWS:
-                    yield f"{channel.name} is {value:g} throughout while the others change: dead?"
-                continue
-            apart = np.diff(rows, append=len(samples))
-            place = int(np.argmax(apart))
-            first, long = int(rows[place]), int(apart[place])
-            value = float(channel.of(samples)[first])
-            if long < least or (field == "duty" and not RESTS < value < FULL):
-                continue
-            moved = min(np.count_nonzero((one >= first) & (one < first + long)) for one in others)
-            if moved > OTHERS_MOVE * long:
-                yield (
-                    f"{channel.name} is stuck for {long} samples from number {first + 1} on, while"
-                    " the others change"
-                )
-
-
-def _stands(values: NDArray[np.float32], least: int) -> bool:
-    """Whether any of the channels (n, k) may keep a value for ``least`` rows, by a few of them."""
-    few = values[:: max(1, min(least, len(values) // 8) // 4)]
-    same = few[1:] == few[:-1]
-    return bool((same[2:] & same[1:-1] & same[:-2]).any())
 
 
 @np.errstate(all="ignore")  # values of nonsense have been told, and count for nothing here
@@ -317,6 +234,10 @@ def _idle(samples: SampleBatch, blocks: Sequence[SampleBatch]) -> Iterator[str]:
 
 
 def _flies(samples: SampleBatch) -> bool:
-    """Whether it turns like nothing that stands on the ground."""
-    moving = [np.sqrt(np.mean(one.gyro.astype(np.float64) ** 2)) for one in _blocks(samples)]
+    """Whether it turns like nothing that stands on the ground, and nothing that lies about."""
+    size = np.linalg.norm(samples.accelerometer.astype(np.float64), axis=1) / STANDARD_GRAVITY
+    if np.isfinite(size).any() and not 0.5 < float(np.nanmedian(size)) < 2.0:
+        return False
+    known = [one.gyro[np.isfinite(one.gyro)].astype(np.float64) for one in _blocks(samples)]
+    moving = [np.sqrt(np.mean(one**2)) for one in known if len(one)]
     return bool(len(moving) and np.median(moving) > TURNS_RAD_S)

@@ -9,17 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.recording.channels import CHANNELS, Channel
-from groundstation.recording.column_map import UNCLEAR_METADATA
+from groundstation.recording.column_map import (
+    NO_CHANNEL,
+    NOTES_METADATA,
+    UNCLEAR_METADATA,
+)
 from groundstation.recording.plausibility import (
     FASTEST_HZ,
+    KINDS,
     SLOWEST_HZ,
+    absent,
     contradictions,
-    impossible,
-    motionless,
     ranges_of,
 )
 from groundstation.recording.row_order import ROWS_METADATA
 from groundstation.recording.session import Recording
+from groundstation.recording.soundness import rejections, without
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,
@@ -45,6 +50,9 @@ RENEWAL_ROWS = 100_000
 """Samples by which it is measured how often channels are renewed."""
 LOSS_TOLERATED = 0.01
 GAP_TOLERATED_S = 0.05
+STANDS = 0.5
+"""Share of samples that repeat the time before, from which it does not advance: more repeat it than
+have one of their own."""
 FEW = 10
 """Samples: 20 ms of telemetry."""
 RENEWED = {
@@ -100,15 +108,16 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "gap_count": int(np.count_nonzero(steps.lost)),
         **_packet_counts(recording),
         "repeated_times": int(np.count_nonzero(steps.step_s == 0)),
-        "out_of_order": int(rows.get("out_of_order", 0)),
-        "row_copies": int(rows.get("copies", 0)),
+        "out_of_order": _count(rows.get("out_of_order", "")),
+        "row_copies": _count(rows.get("copies", "")),
         "clock": "host" if steps.by_host else "craft",
         "segments": segments,
         **_channels(samples, renewed, steps.period_s),
         "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
-        "marks": [event for event in recording.events if event.get("kind") in MARKS],
+        "marks": [_mark(event) for event in recording.events if event.get("kind") in MARKS],
         "damage": list(recording.damage),
         "unclear": dict(recording.metadata.get(UNCLEAR_METADATA, {})),
+        "notes": list(recording.metadata.get(NOTES_METADATA, {}).values()),
         "being_written": recording.being_written,
     }
     faults = [*_faults(report, samples), *_content(report, samples, renewed)]
@@ -117,10 +126,35 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     return report
 
 
+def _mark(event: dict[str, Any]) -> dict[str, Any]:
+    """An event with all its keys: a file, another program's say, need not have them."""
+    return {**event, **{key: str(event.get(key, "")) for key in ("link", "text")}}
+
+
+def _count(text: str) -> int:
+    """A count of a file's metadata, 0 where that is no number."""
+    return int(text) if text.isdecimal() and len(text) < 20 else 0
+
+
 def _grade(report: dict[str, Any], faults: list[str]) -> str:
-    if report["samples"] == 0:
+    if _useless(report):
         return "bad"
     return "usable, with faults" if faults else "good"
+
+
+def _useless(report: dict[str, Any]) -> str:
+    """Why nothing can be done with the samples, or empty."""
+    if report["samples"] == 0:
+        return "no samples"
+    if not report["ranges"]:
+        return f"no channel has data: {report['unclear'].get(NO_CHANNEL, 'none is known here')}"
+    if report["samples"] >= FEW and report["repeated_times"] > STANDS * report["samples"]:
+        return (
+            f"time does not advance: {report['repeated_times']} of {report['samples']} samples have"
+            " the time of the one before, as where a time since 1970 was written with too few"
+            " digits; write it again, or say how many rows a second there are (--rate)"
+        )
+    return ""
 
 
 def _content(
@@ -135,17 +169,18 @@ def _content(
     if steps_hz and not SLOWEST_HZ <= steps_hz <= FASTEST_HZ:
         yield (
             f"{steps_hz:.3g} samples a second, where telemetry of a flight has {SLOWEST_HZ:g} to"
-            f" {FASTEST_HZ:g}: check the time's unit"
+            f" {FASTEST_HZ:g}: check the time's unit" + ", or log faster" * (steps_hz < SLOWEST_HZ)
         )
     ranges = {name: (one["min"], one["max"]) for name, one in report["ranges"].items()}
     known = {name: len(samples) - report["missing_values"].get(name, 0) for name in ranges}
-    yield from impossible(samples, known, ranges)
-    yield from motionless(samples, report["period_s"])
+    found = rejections(samples)
+    yield from (one.words for one in found)
+    yield from absent(without(samples, [one for one in found if one.rows.any()]), known, ranges)
     for name, what in RENEWED.items():
         hz = report["renewed_hz"].get(name, np.inf)
         if hz < SETTINGS_HZ and slower_than_rows(renewed[name]) > HELD:
             yield f"{what} {hz:.3g} times a second in {1 / report['period_s']:.3g} samples"
-    yield from report["unclear"].values()
+    yield from (said for field, said in report["unclear"].items() if field != NO_CHANNEL)
     yield from contradictions(samples)
 
 
@@ -162,8 +197,9 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
     if report["damage"]:
         more = len(report["damage"]) - 1
         yield report["damage"][0] + (f" (and {more} more)" if more else "")
+    if useless := _useless(report):
+        yield useless
     if report["samples"] == 0:
-        yield "no samples"
         return
     if report["samples"] < FEW:
         yield f"only {report['samples']} samples: nothing can be told of the craft"
@@ -181,7 +217,7 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         yield f"{report['out_of_order']} samples were out of order, and sorted"
     if report["row_copies"]:
         yield f"{report['row_copies']} rows were copies of others, and left out"
-    if report["repeated_times"]:
+    if 0 < report["repeated_times"] <= STANDS * report["samples"]:
         yield f"{report['repeated_times']} samples repeat the time of the one before"
     if report["segments"] > 1:
         yield f"restarts of the device: {report['segments'] - 1}"
@@ -189,9 +225,6 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         yield f"a sample every {report['period_s'] * 1e3:.3g} ms where the telemetry has 2 ms"
     for channel, count in report["clipping"].items():
         yield f"{channel} at its limit in {count} samples"
-    beyond = int(samples.overdriven.sum())
-    if beyond:
-        yield f"a motor beyond full duty in {beyond} samples: fits take them as lost"
     specific_force = np.linalg.norm(samples.accelerometer.astype(np.float64), axis=1)
     specific_force_g = specific_force[np.isfinite(specific_force)] / STANDARD_GRAVITY
     if len(specific_force_g):
@@ -199,7 +232,7 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         if not 0.5 < mean_g < 2:
             yield f"the accelerometer's mean is {mean_g:.3g} g: check its unit"
     least_v = report["ranges"].get("battery", {}).get("min", LOW_BATTERY_V)
-    if least_v < LOW_BATTERY_V:
+    if KINDS["battery_v"].low <= least_v < LOW_BATTERY_V:
         yield f"the battery went down to {least_v:.2f} V"
 
 

@@ -9,6 +9,7 @@ when the craft's own clock says, for one variable's radio is as late as another'
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -21,7 +22,9 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInputError, RecordingError, install
 from groundstation.recording.mcap_reader import ForeignMcapError, read_mcap
 from groundstation.recording.mcap_scan import looks_like_mcap
-from groundstation.recording.series_map import Series, read_mapped_series
+from groundstation.recording.rows import EVERY_ROW, Rows
+from groundstation.recording.series import Series
+from groundstation.recording.series_map import SHOWN, TOPIC, read_mapped_series, under
 from groundstation.recording.session import Recording
 
 if TYPE_CHECKING:
@@ -36,6 +39,7 @@ MOST_WORDS = 200
 """Letters of a library's complaint that are passed on."""
 MOST_NUMBERS = 32
 """Longer arrays are pictures and scans."""
+_IMU = ("sensor_msgs/msg/Imu", "sensor_msgs/Imu")
 LOG_TYPE = "crazyflie_interfaces/msg/LogDataGeneric"
 _LOG_DEFINITION = "std_msgs/Header header\nuint32 timestamp\nfloat32[] values\n"
 """Its fields; a .db3 of an older ROS does not hold them."""
@@ -55,27 +59,54 @@ def is_bag_folder(path: Path) -> bool:
     return (path / "metadata.yaml").is_file()
 
 
-def read_bag(path: Path, source: str | Path | None = None) -> Recording:
+def read_bag(path: Path, source: str | Path | None = None, rows: Rows = EVERY_ROW) -> Recording:
     """Read a bag, a file of one or its folder, by a column map (None: the named one that knows it).
+    rows: of one craft, ``topic`` and the name that its topics begin with.
 
-    Raises BadInputError where rosbags is not installed or no map fits, RecordingError where the bag
-    does not read.
+    Raises BadInputError where no map fits or there is no such topic, and as ``series_of_bag``.
+    """
+    series, unread = series_of_bag(path)
+    if rows:
+        column, topic = rows.only or ("", "")
+        if column != TOPIC or rows.rate_hz:
+            raise BadInputError(f"{path}: of a bag, --only {TOPIC}=/NAME takes the topics of one")
+        chosen = under(series, topic)
+        if len(chosen) == len(series):
+            names = ", ".join(one.name for one in series[:SHOWN])
+            raise BadInputError(f"{path}: --only {TOPIC}={topic}: that chooses none of {names}")
+        series = chosen
+    return read_mapped_series(path, "rosbag", series, source, unread=unread)
+
+
+def series_of_bag(path: Path) -> tuple[list[Series], list[str]]:
+    """Every topic whose messages read, and the types of those that do not.
+
+    Raises BadInputError where rosbags is not installed or an MCAP file is no bag, RecordingError
+    where the bag does not read.
     """
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader
     except ImportError as error:
         raise BadInputError(f"{path}: a ROS bag, which rosbags reads: {install('logs')}") from error
+    if _is_another_mcap(path):
+        raise BadInputError(f"{path}: an MCAP file that is no ROS bag, so it takes no column map")
     reader = Reader1 if _is_ros1(path) else Reader
     try:
         with reader(path) as bag:
-            series, unread = _series(bag, ros1=reader is Reader1)
+            return _series(bag, ros1=reader is Reader1)
     except Exception as error:  # whatever the library meets in a stranger's file
-        why = str(error).partition("\n")[0][:MOST_WORDS] or type(error).__name__
-        raise RecordingError(
-            f"{path}: no ROS bag that reads, with or without a column map: {why}"
-        ) from error
-    return read_mapped_series(path, "rosbag", series, source, unread=unread)
+        raise RecordingError(f"{path}: a ROS bag that cannot be read: {_why(error)}") from error
+
+
+def _why(error: Exception) -> str:
+    """The library's own reason where it has one for people, or that the bag is damaged."""
+    said = error.args[0] if error.args else ""
+    if type(error).__name__ != "ReaderError" or not isinstance(said, str):
+        return "it is damaged; 'ros2 bag reindex' or 'rosbag reindex' may repair it"
+    if said.startswith("Unrecognized storage"):
+        return "its name must end in .db3, .mcap or .bag"
+    return said.partition(": (")[0].partition("\n")[0][:MOST_WORDS]
 
 
 def read_recovered(path: Path, *, raw: bool = False) -> Recording:
@@ -94,6 +125,14 @@ def read_recovered(path: Path, *, raw: bool = False) -> Recording:
             return read_bag(path)
         except RecordingError as error:
             raise foreign from error
+
+
+def _is_another_mcap(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(_PROFILE_AT + len(_PROFILE))
+    return looks_like_mcap(head) and not head.endswith(_PROFILE)
 
 
 def _is_ros1(path: Path) -> bool:
@@ -132,7 +171,8 @@ def _series(bag: Any, ros1: bool) -> tuple[list[Series], list[str]]:
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         stamp_ns = 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec
         topic.came_ns.append(stamp_ns or bag_ns)
-        topic.rows.append(dict(_numbers(message, "")))
+        numbers = dict(_numbers(message, ""))
+        topic.rows.append(numbers if connection.msgtype not in _IMU else _measured(numbers))
     clocks = {name: np.array(topic.came_ns, np.int64) for name, topic in topics.items()}
     columns = {name: topic.columns() for name, topic in topics.items()}
     _set_by_craft(clocks, {n: columns[n] for n, topic in topics.items() if topic.type == LOG_TYPE})
@@ -177,6 +217,16 @@ def _numbers(message: Any, prefix: str) -> Iterator[tuple[str, float]]:
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
             numbers = value.ravel() if value.size <= MOST_NUMBERS else ()
             yield from ((f"{name}[{place}]", float(one)) for place, one in enumerate(numbers))
+
+
+def _measured(numbers: dict[str, float]) -> dict[str, float]:
+    """An Imu's numbers, NaN where its covariance begins with -1: the sensor does not measure it
+    (sensor_msgs/Imu)."""
+    for name in ("orientation", "angular_velocity", "linear_acceleration"):
+        if numbers.get(f"{name}_covariance[0]") == -1.0:
+            missing = [key for key in numbers if key.startswith(f"{name}.")]
+            numbers |= dict.fromkeys(missing, math.nan)
+    return numbers
 
 
 def _types(bag: Any, ros1: bool) -> tuple[Typestore, list[str]]:

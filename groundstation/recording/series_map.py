@@ -8,8 +8,7 @@ slashes, and by its type, as far as only one series has that name.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -20,39 +19,12 @@ from groundstation.errors import BadInputError
 from groundstation.recording.column_map import mapped_recording
 from groundstation.recording.map_document import map_for
 from groundstation.recording.map_plan import Plan, map_of_series, plan_of
+from groundstation.recording.series import Series
 from groundstation.recording.session import Recording
 
-
-@dataclass(frozen=True, slots=True)
-class Series:
-    """One series of a log.
-
-    time_ns: (n,) when each row came, in order, on a clock that all series of the file share.
-    columns: name -> (n,) numbers.
-    type: of its messages, or empty.
-    """
-
-    name: str
-    time_ns: NDArray[np.int64]
-    columns: Mapping[str, NDArray[np.generic]]
-    type: str = ""
-
-
 _Columns = Mapping[str, tuple[Series, NDArray[np.generic]]]
-NONE: Mapping[str, float] = {}
-MOTORS = ("duty", "rotor_rev_s")
-MAV_TYPES = {
-    **{
-        1: "a fixed wing",
-        3: "a coaxial helicopter",
-        4: "a helicopter",
-        10: "a rover",
-        11: "a boat",
-    },
-    **{12: "a submarine", 13: "a hexarotor", 14: "an octorotor", 15: "a tricopter"},
-    **dict.fromkeys((19, 20, 21, 22, 23, 24, 25), "a VTOL"),
-}
-"""Crafts by MAVLink's MAV_TYPE that are no quadrotor, which is 2."""
+TOPIC = "topic"
+"""By which the rows of one craft are chosen, ``--only topic=/cf1``."""
 SHOWN = 12
 """Series that an error names."""
 
@@ -64,33 +36,33 @@ def read_mapped_series(
     source: str | Path | None,
     damage: Sequence[str] = (),
     unread: Sequence[str] = (),
-    parameters: Mapping[str, float] = NONE,
+    notes: Sequence[str] = (),
+    unclear: Mapping[str, str] | None = None,
 ) -> Recording:
     """Read a log by a map (None: the named one that knows it).
 
-    unread: types of series that could not be read, told where a map finds too little. parameters:
-    of the craft, as far as the log has them.
+    unread: types of series that could not be read, told where a map finds too little. notes,
+    unclear: what its reader has settled, and left open by field.
 
     Raises BadInputError where no map fits, and as ``read_mapped_csv``.
     """
     by_name = _called(series)
-    columns = {
-        f"{name}.{field}": (one, values)
-        for name, one in by_name.items()
-        for field, values in one.columns.items()
-    }
+    columns = _columns(by_name)
     listed = _cut([f"{one.name} ({one.type})" if one.type else one.name for one in series])
     if unread:
         listed += f"; types that do not parse: {_cut(unread)}"
     if source is None:
         source = map_of_series(kind, columns)
         if source is None:
+            _refuse_several(path, series, lambda some: map_of_series(kind, _columns(some)))
             raise BadInputError(
-                f"{path}: no known map fits its series ({listed}); name one of 'groundstation"
-                " convert --list-columns' with --columns, or describe the columns in a TOML file"
+                f"{path}: no known map fits its series ({listed}); say which channel each is with"
+                " 'groundstation convert FILE --map', and read the file with --columns"
             )
     column_map, map_path = map_for(path, kind, source)
     rows = by_name.get(column_map.rows)
+    if rows is None:
+        _refuse_several(path, series, lambda some: column_map.rows in some)
     if rows is None or (rows.type in unread and not len(rows.time_ns)):
         raise BadInputError(
             f"{path}: no series {column_map.rows!r} (rows in {map_path}); it has {listed}"
@@ -102,33 +74,45 @@ def read_mapped_series(
                 f"{path}: no column {channel.column!r} ({channel.key} in {map_path}); a column is"
                 f" SERIES.FIELD, the series are {listed}"
             )
-    plan, unclear = _of_a_quadrotor(plan, column_map.only, parameters)
     values = _on_rows(plan, rows, columns)
     names = [name.rpartition(".")[2] for name in columns]
-    return mapped_recording(path, plan, column_map, values, names, unclear, damage)
+    return mapped_recording(path, plan, column_map, values, names, unclear or {}, damage, notes)
 
 
-def _of_a_quadrotor(
-    plan: Plan, only: Mapping[str, Sequence[int]], parameters: Mapping[str, float]
-) -> tuple[Plan, dict[str, str]]:
-    """The plan without motors where the log's parameters say that they are another craft's, and
-    that in words."""
-    for name, values in only.items():
-        if name in parameters and parameters[name] not in values:
-            channels = tuple(one for one in plan.channels if one.field not in MOTORS)
-            what = f"{name} {parameters[name]:g}"
-            if name == "MAV_TYPE" and parameters[name] in MAV_TYPES:
-                what += f", {MAV_TYPES[int(parameters[name])]}"
-            return replace(plan, channels=channels), {
-                "duty": f"not of a quadrotor ({what}): its motors are left out"
-            }
-    return plan, {}
+def under(series: Sequence[Series], topic: str) -> list[Series]:
+    """The series of one craft or sensor: of each type of which there are some under a topic, those
+    alone, and all of any other type."""
+    types = {one.type for one in series if _is_under(one.name, topic)}
+    return [one for one in series if _is_under(one.name, topic) or one.type not in types]
 
 
+def _is_under(name: str, topic: str) -> bool:
+    return f"{name}/".startswith(f"{topic.rstrip('/')}/")
+
+
+def _refuse_several(
+    path: Path, series: Sequence[Series], fits: Callable[[dict[str, Series]], object]
+) -> None:
+    """Raises BadInputError where a map fits the series under some topics, which it names: those of
+    several crafts or sensors, of which no name is one's alone."""
+    parts = [one.name.split("/") for one in series]
+    topics = {"/".join(one[:size]) for one in parts for size in range(1, len(one) + 1)} - {""}
+    found: list[str] = []
+    for topic in sorted(topics, key=lambda one: (one.count("/"), one)):
+        if not any(_is_under(topic, one) for one in found) and fits(_called(under(series, topic))):
+            found.append(topic)
+    if found:
+        raise BadInputError(
+            f"{path}: topics of several crafts or sensors: {_cut(found)}; make a file of one:"
+            f" groundstation convert BAG ONE.mcap --only {TOPIC}={found[0]}"
+        )
+
+
+@np.errstate(invalid="ignore")  # what is no number stays none
 def _on_rows(plan: Plan, rows: Series, columns: _Columns) -> NDArray[np.float64]:
     """The planned columns at the times of ``rows``, shape (n, k): the last value known by then, NaN
     before the first."""
-    wanted = (*plan.channels, *plan.kept)
+    wanted = plan.wanted
     values = np.full((len(rows.time_ns), len(wanted)), np.nan)
     places: dict[str, NDArray[np.intp]] = {}
     for index, channel in enumerate(wanted):
@@ -143,6 +127,15 @@ def _on_rows(plan: Plan, rows: Series, columns: _Columns) -> NDArray[np.float64]
         known = place >= 0
         values[known, index] = np.asarray(given, np.float64)[place[known]]
     return values
+
+
+def _columns(by_name: Mapping[str, Series]) -> _Columns:
+    """Every column by its name, ``SERIES.FIELD``."""
+    return {
+        f"{name}.{field}": (one, values)
+        for name, one in by_name.items()
+        for field, values in one.columns.items()
+    }
 
 
 def _called(series: Sequence[Series]) -> dict[str, Series]:

@@ -11,6 +11,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from groundstation.recording.time_cells import seconds_of
+
 COMMENTS = (b"#", b"%", b"//")
 UNITS_BELOW = 6
 """Lines below a header that may hold no number: units, kinds, names of bodies."""
@@ -18,6 +20,9 @@ LOOKED_AT = 40
 """Lines by whose number of fields a table's is known."""
 SPLIT_EXPONENT = re.compile(rb",(\d),(\d+[eE]\+\d+)$", re.MULTILINE)
 """A last number whose decimal comma was taken for a separator."""
+FEWEST_SPACED = 3
+"""Words of a line from which spaces separate them."""
+_SPACES, _ENDS = re.compile(rb"  +"), re.compile(rb"^ +| +$", re.MULTILINE)
 _QUOTED = re.compile(rb'"((?:[^"\n]|"")*)"')
 _UNIT = re.compile(r"(.*\S)\s*[(\[]\s*([^()\[\]]{1,12}?)\s*[)\]]")
 ALIASES = {
@@ -55,6 +60,8 @@ def find_header(lines: Sequence[bytes], separator: bytes = b"") -> Header:
         first += 1
     first += _preamble(lines[first:], separator)
     mark = separator or separator_of(lines[first])
+    if mark == b" " and not separator and not _even(lines[first:]):
+        mark = b","
     cells = plain(lines[first], mark, keep_commas=True).split(mark)
     above = lines[first - 1].lstrip() if first else b""
     if _is_numbers(cells):
@@ -129,7 +136,10 @@ def _said(lines: Sequence[bytes]) -> dict[str, str]:
 
 
 def _is_numbers(cells: Sequence[bytes]) -> bool:
-    return all(not one.strip() or is_number(one.replace(b",", b".")) for one in cells)
+    return all(
+        not one.strip() or is_number(one.replace(b",", b".")) or seconds_of(one.decode("latin-1"))
+        for one in cells
+    )
 
 
 def _has_number(lines: Sequence[bytes], mark: bytes) -> bool:
@@ -139,9 +149,23 @@ def _has_number(lines: Sequence[bytes], mark: bytes) -> bool:
 
 
 def separator_of(line: bytes) -> bytes:
-    """Tab, semicolon or comma, whichever a line has outside quotes."""
+    """Tab, semicolon, pipe or comma, whichever a line has outside quotes, or else spaces."""
     bare = _QUOTED.sub(b"", line)
-    return next((mark for mark in (b"\t", b";") if mark in bare), b",")
+    for mark in (b"\t", b";"):
+        if mark in bare:
+            return mark
+    if bare.count(b"|") > bare.count(b","):
+        return b"|"
+    words = bare.split()
+    spaced = b"," not in bare or all(is_number(one.replace(b",", b".")) for one in words)
+    return b" " if spaced and len(words) >= FEWEST_SPACED else b","
+
+
+def _even(lines: Sequence[bytes]) -> bool:
+    """Whether lines are rows of as many words each, and no sentences."""
+    words = [len(one.split()) for one in lines[:LOOKED_AT]]
+    usual = Counter(words[1:]).most_common(1)
+    return bool(usual) and all(abs(one - usual[0][0]) <= 1 for one in words[:-1])
 
 
 def plain(text: bytes, separator: bytes, *, keep_commas: bool = False) -> bytes:
@@ -155,6 +179,9 @@ def plain(text: bytes, separator: bytes, *, keep_commas: bool = False) -> bytes:
         text = text.replace(b"\r\n", b"\n").rstrip(b"\r")
     if separator != b"," and not keep_commas:
         text = text.replace(b",", b".")
+    if separator == b" ":
+        text = _SPACES.sub(b" ", text)
+        text = _ENDS.sub(b"", text)
     return text
 
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 import msgspec
 
+from groundstation.service.requests import CraftIdentity, Place
 from groundstation.telemetry.statistics import LinkStatistics
 
 
@@ -94,12 +95,34 @@ class TwinStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     text: str
 
 
+class Announced(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a client is about to do with the craft, and in how many s."""
+
+    text: str
+    in_s: float
+
+
+class Unproven(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A parameter: its value before the lease that was interrupted, and now, None where the craft
+    is not connected. client: who wrote it."""
+
+    former: float
+    now: float | None
+    client: str
+
+
 class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The command link. firmware: whose loops the craft flies, empty where it does not say.
     client: who commands. armed: what the craft last said, None where it does not say. hindrance:
     what, as the craft says, keeps it from flying, or empty. crashed: whether it calls itself that.
     held_level: by the operator. interventions: of the failsafe. out_of_reach: why the craft that is
-    heard cannot be stopped from here, or empty."""
+    heard cannot be stopped from here, or empty. stops: changes with every Stop and Land of an
+    operator, and with the daemon. landing: it is being landed. announced: what its client is about
+    to do. unproven: parameters that an interrupted lease left on the craft, to be written back.
+    stores: it can keep parameters while it is switched off. stored: those that it has, as far as it
+    was asked.
+    holds_height: it can be landed. place: None for one that measures no velocity over the
+    ground."""
 
     uri: str
     state: Literal["closed", "connecting", "connected", "lost"]
@@ -114,6 +137,15 @@ class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     refused: int
     interventions: int
     out_of_reach: str
+    stops: int
+    landing: bool
+    announced: Announced | None
+    unproven: dict[str, Unproven]
+    stores: bool
+    stored: dict[str, float]
+    craft: CraftIdentity
+    holds_height: bool
+    place: Place | None
 
 
 class StreamStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -44,7 +44,7 @@ class Operation:
 
 def operations(station: Station) -> list[Operation]:
     """Everything a client can ask of ``station``."""
-    parts = (_telemetry, _jobs, _settings, _lease, _command)
+    parts = (_telemetry, _jobs, _settings, _lease, _stored, _command)
     return [one for part in parts for one in part(station)]
 
 
@@ -169,7 +169,7 @@ def _lease(station: Station) -> list[Operation]:
     commander = station.commander
 
     async def acquire(body: requests.Acquire) -> Any:
-        return commander.acquire(body.client)
+        return commander.acquire(body.client, body.stops)
 
     async def setpoint(body: requests.Setpoint) -> Any:
         values = msgspec.structs.asdict(body)
@@ -180,10 +180,14 @@ def _lease(station: Station) -> list[Operation]:
             link_state=station.receiver.state.value,
             hindrance=commander.supervisor.hindrance,
             height_m=commander.supervisor.height_m,
+            place=overview.place(commander.link),
         )
 
     async def stop_own(body: requests.Holder) -> Any:
         return requests.Stopped(motors=await commander.stop_own(body.token))
+
+    async def land_own(body: requests.Holder) -> Any:
+        return requests.Stopped(motors=await commander.land_own(body.token))
 
     async def write_parameters(body: requests.Parameters) -> Any:
         return requests.Values(values=await commander.write_parameters(body.token, body.values))
@@ -191,7 +195,8 @@ def _lease(station: Station) -> list[Operation]:
     return [
         Operation("POST", "/command/acquire", "Become the one client that commands", acquire,
                   requests.Acquire, requests.Lease),
-        Operation("POST", "/command/release", "Stop the motors and give the lease back",
+        Operation("POST", "/command/release",
+                  "Land the craft, or stop its motors, and give the lease back",
                   _done(lambda body: commander.release(body.token)),
                   requests.Holder, requests.Done),
         Operation("POST", "/command/keep", "Keep the lease while nothing is sent",
@@ -200,25 +205,60 @@ def _lease(station: Station) -> list[Operation]:
                   requests.Setpoint, requests.Sent, limited=False),
         Operation("POST", "/command/stop_own", "Stop the motors and keep the lease", stop_own,
                   requests.Holder, requests.Stopped, limited=False),
+        Operation("POST", "/command/land_own", "Land the craft and keep the lease", land_own,
+                  requests.Holder, requests.Stopped, limited=False),
+        Operation("POST", "/command/announce", "Say what is about to happen to the craft",
+                  _done(lambda body: commander.announce(body.token, body.text, body.in_s)),
+                  requests.Announcement, requests.Done),
         Operation("POST", "/command/parameters", "Write parameters and read them back",
                   write_parameters, requests.Parameters, requests.Values),
     ]  # fmt: skip
 
 
+def _stored(station: Station) -> list[Operation]:
+    """What the craft keeps while it is switched off."""
+    keeping = station.commander.stored
+
+    async def stored(_: None) -> Any:
+        return requests.StoredValues(parameters=await keeping.states())
+
+    async def store(body: requests.StoredNames) -> Any:
+        return requests.StoredValues(parameters=await keeping.store(body.token, body.names))
+
+    async def clear(body: requests.StoredNames) -> Any:
+        return requests.StoredValues(parameters=await keeping.clear(body.token, body.names))
+
+    return [
+        Operation("GET", "/command/stored", "What the craft keeps while it is switched off", stored,
+                  answer=requests.StoredValues),
+        Operation("POST", "/command/stored/store",
+                  "Let the craft keep present values while it is switched off", store,
+                  requests.StoredNames, requests.StoredValues),
+        Operation("POST", "/command/stored/clear", "Let the craft forget what it has stored", clear,
+                  requests.StoredNames, requests.StoredValues),
+    ]  # fmt: skip
+
+
 def _command(station: Station) -> list[Operation]:
     """What is asked of the craft, whoever commands."""
-    commander = station.commander
+    commander, operator = station.commander, station.commander.operator
 
     async def stop(_: None) -> Any:
-        station.jobs.end_flying()
-        return requests.Stopped(motors=await commander.stop())
+        ended = station.jobs.end_flying()
+        return requests.Stopped(motors=await operator.stop(), ended=ended)
+
+    async def land(_: None) -> Any:
+        landing = asyncio.ensure_future(operator.land())
+        await asyncio.sleep(0)  # it is refused at once, or has begun
+        ended = [] if landing.done() and landing.exception() else station.jobs.end_flying()
+        return requests.Stopped(motors=await landing, ended=ended)
 
     async def arm(body: requests.Armed) -> Any:
-        await commander.arm(body.on)
+        await operator.arm(body.on)
         return requests.Done()
 
     async def recover(_: None) -> Any:
-        await commander.recover()
+        await operator.recover()
         return requests.Done()
 
     async def connect(body: requests.CommandUri) -> Any:
@@ -228,11 +268,16 @@ def _command(station: Station) -> list[Operation]:
     async def parameters(_: None) -> Any:
         return requests.Values(values=commander.parameters())
 
+    async def restore(_: None) -> Any:
+        return requests.Values(values=await commander.restore())
+
     return [
         Operation("POST", "/command/stop", "Stop the motors, whoever commands", stop,
                   answer=requests.Stopped, limited=False),
+        Operation("POST", "/command/land", "Land the craft, whoever commands", land,
+                  answer=requests.Stopped, limited=False),
         Operation("POST", "/command/level", "Hold the craft level, or no more",
-                  _done(lambda body: commander.level(body.on)),
+                  _done(lambda body: operator.level(body.on)),
                   requests.Level, requests.Done, limited=False),
         Operation("POST", "/command/arm", "Arm the motors or disarm them, whoever commands", arm,
                   requests.Armed, requests.Done),
@@ -241,6 +286,9 @@ def _command(station: Station) -> list[Operation]:
         Operation("POST", "/command/connect", "Command the craft at another address", connect,
                   requests.CommandUri, Status),
         Operation("GET", "/command/parameters", "The craft's parameters", parameters,
+                  answer=requests.Values),
+        Operation("POST", "/command/restore",
+                  "Write former parameters back; what was, since the daemon began", restore,
                   answer=requests.Values),
     ]  # fmt: skip
 

@@ -113,28 +113,37 @@ def ask(path: Path, method: str, route: str, body: dict[str, Any] | None = None)
 class Pilot(Client):
     """The one client that commands, from entering the context until leaving it.
 
-    client: a name for people. lease: token, the failsafe's limits (``lease_s``, ``level_s``,
-    ``stop_s``), and the command link's ``uri`` and ``state``.
+    client: a name for people. stops: ``command.stops`` of the status when a person began this
+    program, None: whatever it is; entering fails where the operator has stopped the motors since.
+    lease: token, ``stops``, the failsafe's limits (``lease_s``, ``level_s``, ``stop_s``), the
+    command link's ``uri`` and ``state``, and which ``craft`` it is.
 
-    Leaving stops motors that still run. A process that dies instead leaves it to the failsafe.
+    Leaving lands a craft that still flies, or stops its motors where it holds no height. A process
+    that dies instead leaves it to the failsafe.
+
+    content: whether what it wrote is meant to stay. Leaving does not release the craft otherwise:
+    the lease is over by its own time, and the daemon writes the former values back.
     """
 
-    def __init__(self, path: Path, client: str) -> None:
+    def __init__(self, path: Path, client: str, stops: int | None = None) -> None:
         super().__init__(path)
-        self._client = client
+        self._client, self._stops = client, stops
         self.lease: dict[str, Any] = {}
+        self.content = True
 
     def __enter__(self) -> Self:
         try:
-            self.lease = self.ask("POST", "/command/acquire", {"client": self._client})
+            wanted = {"client": self._client, "stops": self._stops}
+            self.lease = self.ask("POST", "/command/acquire", wanted)
         except BaseException:
             self.close()
             raise
         return self
 
     def __exit__(self, *error: object) -> None:
-        with contextlib.suppress(GroundStationError):  # the lease may be over already
-            self.release()
+        if self.content:
+            with contextlib.suppress(GroundStationError):  # the lease may be over already
+                self.release()
         self.close()
 
     def setpoint(
@@ -145,16 +154,20 @@ class Pilot(Client):
         thrust: int = 0,
         *,
         height_m: float | None = None,
+        vx_m_s: float | None = None,
+        vy_m_s: float | None = None,
     ) -> dict[str, Any]:
-        """Send one setpoint: ``time_ns``, the newest ``telemetry`` and ``link_state``.
+        """Send one setpoint: ``time_ns``, the newest ``telemetry``, ``place`` and ``link_state``.
 
         Signs are those of the telemetry: roll left side up, pitch nose down, yaw rate
-        counter-clockwise. At most 100 a second; thrust 0..60000, or a height in its place.
+        counter-clockwise. At most 100 a second; thrust 0..60000, or a height in its place, and with
+        it a velocity forward and left in the place of roll and pitch.
         """
         values = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_dps": yaw_dps}
         values["made_s"] = time.monotonic()  # it grows old, whoever is held up
-        at_height = {} if height_m is None else {"height_m": height_m}
-        answer: dict[str, Any] = self._command("setpoint", **values, thrust=thrust, **at_height)
+        more = {"height_m": height_m, "vx_m_s": vx_m_s, "vy_m_s": vy_m_s}
+        values |= {name: value for name, value in more.items() if value is not None}
+        answer: dict[str, Any] = self._command("setpoint", **values, thrust=thrust)
         return answer
 
     def parameters(self) -> dict[str, float]:
@@ -166,6 +179,22 @@ class Pilot(Client):
         """Write parameters, all or none where one is refused; what the craft read back."""
         back: dict[str, float] = self._command("parameters", values=values)["values"]
         return back
+
+    def stored(self) -> dict[str, Any]:
+        """What the craft can keep while it is switched off, by full name: ``now``, ``default``, and
+        ``stored``, None where nothing is."""
+        found: dict[str, Any] = self.ask("GET", "/command/stored")["parameters"]
+        return found
+
+    def store(self, *names: str) -> dict[str, Any]:
+        """Store present values on a craft that stands, no names: every gain that it would lose;
+        what it then has, as ``stored``."""
+        return dict(self._command("stored/store", names=names)["parameters"])
+
+    def clear_stored(self, *names: str) -> dict[str, Any]:
+        """Clear stored values, no names: every gain; what it then has, as ``stored``. The craft
+        flies with what it has until it is switched off."""
+        return dict(self._command("stored/clear", names=names)["parameters"])
 
     def keep(self) -> None:
         """Keep the lease while nothing is sent."""
@@ -181,8 +210,19 @@ class Pilot(Client):
         told: str = self._command("stop_own")["motors"]
         return told
 
+    def land(self) -> str:
+        """Have the daemon land the craft, which takes 6 s at most, and keep the lease: ``landed``,
+        or what is known of the motors where it could not be landed."""
+        told: str = self._command("land_own")["motors"]
+        return told
+
+    def announce(self, text: str, in_s: float) -> None:
+        """Say to the people near the craft what is about to happen to it, and in how many s."""
+        self._command("announce", text=text, in_s=in_s)
+
     def release(self) -> None:
-        """Stop the motors and give the craft back."""
+        """Give the craft back; one that still flies is landed. Parameters that were written stay:
+        who is not content writes the former values first."""
         self._command("release")
 
     def _command(self, what: str, **content: Any) -> Any:

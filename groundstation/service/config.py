@@ -126,7 +126,13 @@ class FailsafeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         float, _key("without a setpoint while motors run: level attitude, s", ge=0.05, le=0.5)
     ] = 0.2
     stop_s: Annotated[
-        float, _key("without a setpoint: motors off, the lease is over, s", ge=0.1, le=2.0)
+        float,
+        _key(
+            "without a setpoint: a landing, or motors off where the craft holds no height; the"
+            " lease is over, s",
+            ge=0.1,
+            le=1.6,
+        ),
     ] = 0.6
     lease_s: Annotated[
         float, _key("without any request, motors off: the lease is over, s", ge=1.0, le=60.0)

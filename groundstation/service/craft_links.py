@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Callable
+from functools import cache
 from typing import Any
 
 import msgspec
 
 from groundstation.background import in_background
+from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
 from groundstation.links.clock import HostClock
@@ -232,7 +234,26 @@ class CraftLinks:
     def _listen(self, command: CommandLink) -> None:
         command.on_event = self._journal.take
         command.on_entry = self._on_entry
+        command.on_table = self._receiver.link.on_table
         self.command_uri = command.uri
+
+
+def contradiction(configured: str, said: str) -> str:
+    """Why a craft that says it is a ``said`` is not the configured one, or empty. A 2.1, a 2.1+ and
+    a profile of one's own are called alike by the firmware."""
+    if not said or not configured or _kind(said) == _kind(configured):
+        return ""
+    return (
+        f"the craft says it is a {said}, and the daemon was told that it is a {configured}: begin"
+        " it without --set vehicle, or with the right one"
+    )
+
+
+@cache
+def _kind(vehicle: str) -> tuple[str, bool]:
+    """What the firmware tells apart: whose loops fly it, and whether its motors are brushless."""
+    profile = load_vehicle(vehicle)
+    return profile.firmware, profile.is_brushless
 
 
 @contextlib.asynccontextmanager

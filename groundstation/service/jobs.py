@@ -17,7 +17,7 @@ import msgspec
 
 from groundstation.documents import read_document
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.paths import dated
+from groundstation.paths import dated, write_whole
 from groundstation.service.commands import limit_memory, own_command, own_environment
 from groundstation.service.job_result import Advice, advice
 from groundstation.text import printable
@@ -27,12 +27,16 @@ FOLDER = "jobs"
 WAITING_MOST = 20
 LOG_MOST = 1 << 16
 """Bytes of a log that are told: its end."""
-STOP_S = 5.0
-"""A cancelled job is asked to end, and killed after so long."""
+STOP_S, LANDS_S = 5.0, 15.0
+"""A cancelled job is asked to end, and killed after so long; one that flies lands its craft first,
+and puts back what it wrote."""
 NICENESS = 1
 """The recorder goes first, and what only shows (5) last: a person waits for a job."""
 PROGRESS = "GROUNDSTATION_PROGRESS"
 """Where a command tells how far it is, and what it has found (``cli/progress.py``)."""
+STOPS = "GROUNDSTATION_STOPS"
+"""How often the operator had stopped or landed a craft when a person began the job."""
+CUT = "the daemon was ended while this ran"
 _ENTRY, _LOG, _REPORT, _MODEL, _GAINS, _PROGRESS = (
     "job.json", "log.txt", "report.html", "model.json", "gains.toml", "progress.json",
 )  # fmt: skip
@@ -41,6 +45,8 @@ LEARNT = "learnt"
 """The folder of ``learn`` in a job's own."""
 
 Kind = Literal["inspect", "fit", "compare", "discrepancy", "design", "learn"]
+FLIES: tuple[Kind, ...] = ("learn",)
+"""Kinds of jobs that fly the craft."""
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 _COMMANDS: dict[str, tuple[str, ...]] = {
     "inspect": ("inspect",),
@@ -91,17 +97,22 @@ class Jobs:
     """The jobs of the recordings folder.
 
     folder: where recordings are. note: told (kind, text) of what becomes of each. socket: of the
-    daemon, for jobs that fly.
+    daemon, for jobs that fly. stops: how often the operator has stopped or landed a craft.
     """
 
     def __init__(
-        self, folder: Callable[[], Path], note: Callable[[str, str], None], socket: Path = Path()
+        self,
+        folder: Callable[[], Path],
+        note: Callable[[str, str], None],
+        socket: Path = Path(),
+        stops: Callable[[], int] = lambda: 0,
     ) -> None:
-        self._folder, self._note, self._socket = folder, note, socket
+        self._folder, self._note, self._socket, self._stops = folder, note, socket, stops
         self._own: dict[str, Job] = {}
+        self._begun_at: dict[str, int] = {}  # the count of stops then
         self._new = asyncio.Event()
         self._process: asyncio.subprocess.Process | None = None
-        self._ending: asyncio.Task[None] | None = None
+        self._ending: set[asyncio.Task[None]] = set()
 
     def add(
         self,
@@ -148,7 +159,7 @@ class Jobs:
         )
         job.command = shlex.join(["groundstation", *self._arguments(job, Path())])
         (folder / FOLDER / job.id).mkdir(parents=True)
-        self._own[job.id] = job
+        self._own[job.id], self._begun_at[job.id] = job, self._stops()
         self._new.set()
         return job
 
@@ -160,6 +171,8 @@ class Jobs:
                 with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError):
                     job = msgspec.json.decode(read_document(path), type=Job)
                     job.id = path.parent.name  # whatever the file says
+                    if job.state in ("waiting", "running"):  # of a daemon that was killed
+                        job.state, job.text = "failed", CUT
                     self._kept(job)
                     found[job.id] = job
         for job in found.values():
@@ -194,21 +207,28 @@ class Jobs:
             raise BadInputError(f"{name}: no job that waits or runs")
         was_running, job.state = job.state == "running", "cancelled"
         if was_running:
-            await self._end()
+            await self._end(LANDS_S if job.kind in FLIES else STOP_S)
         else:
             self._finished(job)
         return job
 
-    def end_flying(self) -> None:
-        """End a job that flies the craft: the operator has stopped its motors."""
-        for job in self._own.values():
-            if job.kind == "learn" and job.state in ("waiting", "running"):
-                self._ending = asyncio.create_task(self._end_later(job))
+    def end_flying(self) -> list[str]:
+        """End jobs that fly the craft, whether they do at the moment or not: the operator has
+        stopped its motors, or lands it. Their kinds."""
+        flying = [
+            job
+            for job in self._own.values()
+            if job.kind in FLIES and job.state in ("waiting", "running")
+        ]
+        for job in flying:
+            job.text = "the operator has ended it"
+            ending = asyncio.create_task(self._cancelled(job))
+            self._ending.add(ending)
+            ending.add_done_callback(self._ending.discard)
+        return [job.kind for job in flying]
 
-    async def _end_later(self, job: Job) -> None:
-        """In flight it ends by itself, and puts back what it has to."""
-        await asyncio.sleep(STOP_S)
-        with contextlib.suppress(BadInputError):  # it has
+    async def _cancelled(self, job: Job) -> None:
+        with contextlib.suppress(BadInputError):  # it has ended
             await self.cancel(job.id)
 
     async def run(self) -> None:
@@ -223,16 +243,20 @@ class Jobs:
 
     async def close(self) -> None:
         """End what runs; what waits is forgotten. Safe to call twice."""
-        if self._ending is not None:
-            self._ending.cancel()
+        for ending in self._ending:
+            ending.cancel()
+        patience_s = STOP_S
         for job in self._own.values():
             if job.state in ("waiting", "running"):
+                if job.state == "running" and job.kind in FLIES:
+                    patience_s = LANDS_S
                 job.state, job.text = "cancelled", "the daemon has ended"
                 self._finished(job)
-        await self._end()
+        await self._end(patience_s)
 
     async def _carry_out(self, job: Job) -> None:
         job.state, job.began_ns = "running", time.time_ns()
+        self._write(job)  # a daemon that is killed leaves word of it
         try:
             status = await self._work(job)
             *_, last = ["", *self.log(job.id).strip().splitlines()]
@@ -262,11 +286,12 @@ class Jobs:
                     **own_environment(),
                     PROGRESS: str(folder / _PROGRESS),
                     "GROUNDSTATION_SOCKET": str(self._socket),
+                    STOPS: str(self._begun_at.get(job.id, 0)),
                 },
             )
         limit_memory(process.pid)
         if job.state == "cancelled":  # while it was being started
-            await self._end()
+            await self._end(STOP_S)
         return await process.wait()
 
     def _kept(self, job: Job) -> None:
@@ -280,11 +305,15 @@ class Jobs:
 
     def _finished(self, job: Job) -> None:
         job.ended_ns = time.time_ns()
-        with contextlib.suppress(OSError, BadInputError):  # the folder may have been deleted
-            (self._job_folder(job.id) / _ENTRY).write_bytes(msgspec.json.encode(job))
+        self._write(job)
         self._note("job", f"{job.id}: {job.state}" + (f", {job.text}" if job.text else ""))
 
-    async def _end(self) -> None:
+    def _write(self, job: Job) -> None:
+        with contextlib.suppress(OSError, BadInputError):  # the folder may have been deleted
+            write_whole(self._job_folder(job.id) / _ENTRY, msgspec.json.encode(job))
+
+    async def _end(self, patience_s: float) -> None:
+        """Ask the process to end, and kill it after so long."""
         process = self._process
         if process is None or process.returncode is not None:
             return
@@ -292,7 +321,7 @@ class Jobs:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, number)
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(process.wait(), STOP_S)
+                await asyncio.wait_for(process.wait(), patience_s)
                 return
 
     def _arguments(self, job: Job, folder: Path) -> list[str]:

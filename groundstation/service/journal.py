@@ -26,6 +26,8 @@ _WARNINGS = frozenset(
         "damage",
         "dead man",
         "stop",
+        "landing",
+        "restore",
         "deleted",
         "held up",
         BEGAN,

@@ -8,7 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from groundstation.errors import NotAuthorisedError, TakenError
+from groundstation.links.command import CommandLink
+from groundstation.links.craft_address import is_software
+from groundstation.service import requests
 from groundstation.service.config import FailsafeConfig
+from groundstation.service.lander import LANDS, Descent
 from groundstation.service.motor_stop import Note, Stop
 
 FAILSAFE = "dead man"
@@ -17,17 +21,21 @@ FAILSAFE = "dead man"
 
 @dataclass(slots=True)
 class Lease:
-    """Times are monotonic. ended: why it is over, empty while it is in force. stop: of its motors,
-    the last one."""
+    """Times are monotonic. craft: which it is for. ended: why it is over, empty while it is in
+    force. stop, descent: of its motors, and of its craft, the last ones. announced: what its client
+    is about to do, and when."""
 
     client: str
     token: str
+    craft: str
     heard_s: float
     """When the client last said anything."""
     setpoint_s: float = 0.0
     """When its last setpoint was made."""
     thrust: int = 0
     height_m: float | None = None
+    hovers: bool = False
+    """Whether it asked for a velocity over the ground."""
     levelled: bool = False
     """By the failsafe."""
     held_level: bool = False
@@ -36,20 +44,24 @@ class Lease:
     """Whether motors ever ran for it."""
     ended: str = ""
     stop: Stop | None = None
+    descent: Descent | None = None
+    announced: tuple[str, float] | None = None
 
     @property
     def flies(self) -> bool:
         """Whether motors run for it."""
         return bool(self.thrust) or self.height_m is not None
 
-    def steer(self, made_s: float, thrust: int, height_m: float | None) -> None:
+    def steer(self, made_s: float, thrust: int, height_m: float | None, hovers: bool) -> None:
         """Its client has sent a setpoint that was made at ``made_s``."""
         self.setpoint_s, self.levelled = made_s, False
-        self.thrust, self.height_m = thrust, height_m
+        self.thrust, self.height_m, self.hovers = thrust, height_m, hovers
         self.flew |= self.flies
+        if self.flies:
+            self.announced = None
 
     def set_down(self) -> None:
-        self.thrust, self.height_m = 0, None
+        self.thrust, self.height_m, self.hovers = 0, None, False
 
     def is_of(self, token: str) -> bool:
         return hmac.compare_digest(self.token.encode(), token.encode())
@@ -71,16 +83,17 @@ class Leases:
     """The lease in force, one at a time, what ends it, and the one before it. Who uses it holds a
     lock.
 
-    note: told (kind, text). stop: stops the motors in the name of a client. turns: whether motors
-    still do, as far as the craft says.
+    note: told (kind, text). end_flight: lands the craft of a lease in the name of a client, or
+    stops its motors where that cannot be; whether it lands. turns: whether motors still do, as far
+    as the craft says, and nobody lands it.
     """
 
     def __init__(
-        self, note: Note, stop: Callable[[str], Stop | None], turns: Callable[[], bool]
+        self, note: Note, end_flight: Callable[[Lease, str], bool], turns: Callable[[], bool]
     ) -> None:
         self.present: Lease | None = None
         self.vanished = 0  # clients, in flight
-        self._note, self._stop, self._turns = note, stop, turns
+        self._note, self._end_flight, self._turns = note, end_flight, turns
         self._former: Lease | None = None
 
     @property
@@ -88,11 +101,11 @@ class Leases:
         """Who commands at the moment."""
         return None if self.present is None else self.present.client
 
-    def begin(self, client: str, now_s: float) -> Lease:
+    def begin(self, client: str, craft: str, now_s: float) -> Lease:
         """Raises TakenError where another client commands."""
         if self.present is not None:
             raise TakenError(f"{self.present.client} is commanding; one client at a time")
-        self.present = Lease(client, secrets.token_urlsafe(24), now_s)
+        self.present = Lease(client, secrets.token_urlsafe(24), craft, now_s)
         return self.present
 
     def of(self, token: str, now_s: float) -> Lease:
@@ -119,22 +132,24 @@ class Leases:
             return
         if lease.has_vanished(now_s, limits):
             self.vanished += 1
-            lease.stop = self._stop(FAILSAFE)
+            lands = self._end_flight(lease, FAILSAFE)
+            what = LANDS if lands else "its motors are asked to stop"
+            done = "the craft is landed" if lands else "the failsafe has asked the motors to stop"
             self.end(
-                f"{lease.client} has vanished: its motors are asked to stop", kind="fault",
-                why="no setpoint came in time: the failsafe has asked the motors to stop",
+                f"{lease.client} has vanished: {what}", kind="fault",
+                why=f"no setpoint came in time: {done}",
             )  # fmt: skip
         elif lease.has_lapsed(now_s, limits):
             text = f"{lease.client} was silent for {limits.lease_s:g} s: its lease is over"
             self.leave(text, FAILSAFE, why=text)
 
     def leave(self, text: str, client: str, *, why: str = "the lease is over") -> None:
-        """End the lease in force and, in the name of ``client``, stop what runs for it or goes on
-        turning at zero thrust, as assist modes and armed brushless motors do."""
+        """End the lease in force and, in the name of ``client``, land what flies for it, or stop
+        what goes on turning at zero thrust, as assist modes and armed brushless motors do."""
         lease = self.present
         if lease is not None:
             if lease.flies or (lease.flew and self._turns()):
-                lease.stop = self._stop(client)
+                self._end_flight(lease, client)
             self.end(text, why=why)
 
     def end(self, text: str, *, kind: str = "command", why: str) -> None:
@@ -143,3 +158,28 @@ class Leases:
         if lease is not None:
             lease.ended, self._former = why, lease
         self._note(kind, text)
+
+
+def granted(lease: Lease, link: CommandLink, limits: FailsafeConfig, stops: int) -> requests.Lease:
+    """What the client of a new lease is told."""
+    return requests.Lease(
+        token=lease.token,
+        stops=stops,
+        lease_s=limits.lease_s,
+        level_s=limits.level_s,
+        stop_s=limits.stop_s,
+        uri=link.uri,
+        state=link.state.value,
+        firmware=link.firmware,
+        holds_height=link.holds_height,
+        holds_place=link.holds_place,
+        software=is_software(link.uri),
+        craft=identity_of(link),
+    )
+
+
+def identity_of(link: CommandLink) -> requests.CraftIdentity:
+    """Which craft it is, as far as it says so."""
+    return requests.CraftIdentity(
+        uri=link.uri, vehicle=link.vehicle, firmware=link.firmware, id=link.craft_id
+    )

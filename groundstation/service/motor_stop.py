@@ -22,6 +22,7 @@ UNSEEN_S, SEEN_S = 2.0, 2.5
 """Without telemetry for so long nobody knows whether they have stopped; how long an operator is
 kept waiting for what becomes of them."""
 BY_OPERATOR = "the operator has stopped the motors"
+LANDED_BY_OPERATOR = "the operator has landed the craft"
 """Why a lease ended, as its client is told."""
 STOPPED = "stopped"
 STILL_TURN = "asked to stop, motors still turn"
@@ -146,6 +147,12 @@ class Stopping:
             self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
             self._note("fault", f"{STILL_TURN}: {_forced(stop)}")
 
+    def give_up(self) -> None:
+        """The craft is left: nobody hears any more what becomes of its motors."""
+        self.cancel()
+        if self._stop is not None:
+            self._end(self._stop, stopped=None)
+
     def _end(self, stop: Stop, *, stopped: bool | None) -> None:
         self._stop, stop.stopped, stop.over = None, stopped, True
 
@@ -188,9 +195,15 @@ def send_level(
     client: str,
     height_m: float | None = None,
     until_s: float | None = None,
+    hovers: bool = False,
 ) -> None:
-    """A setpoint of level attitude, worth sending until ``until_s``."""
+    """A setpoint of level attitude, or of no velocity where the craft ``hovers``, worth sending
+    until ``until_s``."""
+    still = 0.0 if hovers and height_m is not None else None
     # without the craft, or a height that it knows, there is nothing to be done: its own limits
     # stop it, or the stop that follows
     with contextlib.suppress(LinkError, BadInputError):
-        link.setpoint(0.0, 0.0, 0.0, thrust, height_m=height_m, client=client, until_s=until_s)
+        link.setpoint(
+            0.0, 0.0, 0.0, thrust, height_m=height_m, vx_m_s=still, vy_m_s=still,
+            client=client, until_s=until_s,
+        )  # fmt: skip

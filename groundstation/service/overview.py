@@ -6,6 +6,9 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from groundstation.links.base import LinkState
+from groundstation.links.command import CommandLink
+from groundstation.service.lease import Lease, identity_of
+from groundstation.service.requests import Place
 
 if TYPE_CHECKING:
     from groundstation.service.station import Station
@@ -86,4 +89,40 @@ def _command(station: Station) -> dict[str, Any] | None:
         "refused": commander.refused,
         "interventions": commander.leases.vanished,
         "out_of_reach": station.craft.out_of_reach(),
-    }
+        "stops": commander.operator.stops,
+        "landing": commander.lands,
+        "announced": _announced(lease),
+        "unproven": {} if lease is not None else {
+            name: {"former": one.former, "now": now, "client": one.client}
+            for name, (one, now) in commander.written.left(link).items()
+        },
+        "stores": link.storage is not None,
+        "stored": commander.stored.told(link),
+        "craft": identity_of(link),
+        "holds_height": link.holds_height,
+        "place": place(link),
+    }  # fmt: skip
+
+
+def place(link: CommandLink | None) -> Place | None:
+    """Where the craft is by its own account; None for one that measures no velocity over the
+    ground, whose account is worth nothing."""
+    said = None if link is None else link.supervisor.place
+    if link is None or said is None or not link.holds_place:
+        return None
+    return Place(
+        x_m=said.x_m,
+        y_m=said.y_m,
+        z_m=said.z_m,
+        vx_m_s=said.vx_m_s,
+        vy_m_s=said.vy_m_s,
+        vz_m_s=said.vz_m_s,
+        age_s=round(link.monotonic() - said.heard_s, 4),
+    )
+
+
+def _announced(lease: Lease | None) -> dict[str, Any] | None:
+    if lease is None or lease.announced is None:
+        return None
+    text, at_s = lease.announced
+    return {"text": text, "in_s": round(max(at_s - time.monotonic(), 0.0), 1)}

@@ -90,7 +90,7 @@ class PageService:
             )
         token = secrets.token_urlsafe(24)
         self._tokens = [*self._tokens[-TOKENS_MOST + 1 :], token]
-        return f"{self._url}/?token={token}"
+        return f"{self.url}/?token={token}"
 
     def admit(self, token: str) -> None:
         """Use up an address's token. Raises NotAuthorisedError for one that is not in force."""
@@ -109,10 +109,11 @@ class PageService:
             return {"state": "off", "url": None, "restarts": self._restarts}
         waiting = "restarting" if self._restarts else "starting"
         state = "serving" if self._serving else waiting
-        return {"state": state, "url": self._url, "restarts": self._restarts}
+        return {"state": state, "url": self.url, "restarts": self._restarts}
 
     @property
-    def _url(self) -> str:
+    def url(self) -> str:
+        """Where it is served; it takes a token to get in."""
         return f"http://127.0.0.1:{self._config.port}"
 
     def _fail(self, text: str) -> None:

@@ -21,9 +21,12 @@ class LinkName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class Acquire(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Wants to command. client: a name for people, shown in the status and recorded."""
+    """Wants to command. client: a name for people, shown in the status and recorded. stops: what
+    ``command.stops`` of the status was when a person began the program: refused where the motors
+    were stopped, or the craft landed, by the operator since."""
 
     client: Name
+    stops: int | None = None
 
 
 class Holder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -53,8 +56,10 @@ class Level(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Setpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One setpoint, in the signs of the telemetry: roll left side up, pitch nose down, yaw rate
     counter-clockwise from above. thrust: 0..60000, up to 10000 is none. height_m: 0..3, for
-    a craft that holds a height by itself, with no thrust. made_s: when it was made, by this
-    machine's monotonic clock: one that is 0.5 s old is not sent."""
+    a craft that holds a height by itself, with no thrust. vx_m_s, vy_m_s: forward and left as the
+    craft is headed, -2..2, for one that holds its place, with a height and no roll or pitch.
+    made_s: when it was made, by this machine's monotonic clock: one that is 0.5 s old is not
+    sent."""
 
     token: Token
     roll_deg: float = 0.0
@@ -62,7 +67,18 @@ class Setpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     yaw_dps: float = 0.0
     thrust: int
     height_m: float | None = None
+    vx_m_s: float | None = None
+    vy_m_s: float | None = None
     made_s: float | None = None
+
+
+class Announcement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a client is about to do with the craft, for the people near it: "takes off". in_s: how
+    long from now, s."""
+
+    token: Token
+    text: Line
+    in_s: Annotated[float, msgspec.Meta(ge=0.0, le=600.0)]
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -70,6 +86,13 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     token: Token
     values: Annotated[dict[str, float], msgspec.Meta(min_length=1, max_length=64)]
+
+
+class StoredNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters to be stored or cleared, by full name; none: every gain (``pid_...``)."""
+
+    token: Token
+    names: Annotated[list[Line], msgspec.Meta(max_length=64)] = []
 
 
 class Mark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -137,12 +160,26 @@ class PageAddress(msgspec.Struct, frozen=True, kw_only=True):
     url: str
 
 
+class CraftIdentity(msgspec.Struct, frozen=True, kw_only=True):
+    """Which craft it is, as far as it says so. vehicle: its profile. firmware: whose loops it
+    flies, 2014 or 2.x. id: the craft's own number, hexadecimal. Empty where it does not say."""
+
+    uri: str
+    vehicle: str
+    firmware: str
+    id: str
+
+
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
-    """token: for every request that commands. lease_s, level_s, stop_s: the failsafe's limits.
-    uri, state: of the command link. firmware: whose loops the craft flies, 2014 or 2.x; empty where
-    it does not say. holds_height: whether it takes a height in the place of thrust."""
+    """token: for every request that commands. stops: how often the operator has stopped or landed
+    a craft, to be given to a later ``acquire`` of the same program. lease_s, level_s, stop_s: the
+    failsafe's limits. uri, state: of the command link. firmware: whose loops the craft flies, 2014
+    or 2.x; empty where it does not say. holds_height: whether it takes a height in the place of
+    thrust. holds_place: whether it takes a velocity in the place of an attitude. software: a
+    software craft of this machine."""
 
     token: str
+    stops: int
     lease_s: float
     level_s: float
     stop_s: float
@@ -150,6 +187,9 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True):
     state: str
     firmware: str
     holds_height: bool
+    holds_place: bool
+    software: bool
+    craft: CraftIdentity
 
 
 class Telemetry(msgspec.Struct, frozen=True, kw_only=True):
@@ -165,16 +205,32 @@ class Telemetry(msgspec.Struct, frozen=True, kw_only=True):
     motors: list[float | None]
 
 
+class Place(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a craft is by its own account: position and velocity in the world frame of its
+    estimator, whose origin is where it was switched on or what its positioning system says. age_s:
+    since it said so."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    vx_m_s: float
+    vy_m_s: float
+    vz_m_s: float
+    age_s: float
+
+
 class Sent(msgspec.Struct, frozen=True, kw_only=True):
     """time_ns: when the setpoint was handed to the radio. telemetry: None where nothing has
     come yet. hindrance: what, as the craft says, keeps it from flying, or empty. height_m: where it
-    is by its own account, None where it is not sure of that."""
+    is by its own account, None where it is not sure of that. place: None for a craft that measures
+    no velocity over the ground."""
 
     time_ns: int
     telemetry: Telemetry | None
     link_state: str
     hindrance: str = ""
     height_m: float | None = None
+    place: Place | None = None
 
 
 class Values(msgspec.Struct, frozen=True, kw_only=True):
@@ -183,10 +239,27 @@ class Values(msgspec.Struct, frozen=True, kw_only=True):
     values: dict[str, float]
 
 
+class StoredParameter(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter that the craft can keep while it is switched off: its value now, that of its
+    firmware, and the stored one, None where nothing is stored."""
+
+    now: float
+    default: float
+    stored: float | None
+
+
+class StoredValues(msgspec.Struct, frozen=True, kw_only=True):
+    """All that the craft can keep, by full name."""
+
+    parameters: dict[str, StoredParameter]
+
+
 class Stopped(msgspec.Struct, frozen=True, kw_only=True):
-    """motors: ``stopped`` where the craft's own telemetry says so, else what is known of them."""
+    """motors: ``stopped``, or ``landed``, where the craft's own telemetry says so, else what is
+    known of them. ended: the kinds of jobs that were ended with it."""
 
     motors: str
+    ended: list[str] = []
     done: bool = True
 
 

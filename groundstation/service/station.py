@@ -8,6 +8,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ import msgspec
 from groundstation.links.base import Link
 from groundstation.links.clock import steady_clock
 from groundstation.links.event import LinkEvent
+from groundstation.service.changes import Changes, changes_path
 from groundstation.service.commander import Commander
 from groundstation.service.config import (
     MEBIBYTE,
@@ -24,7 +26,12 @@ from groundstation.service.config import (
     socket_path,
 )
 from groundstation.service.consumers import Consumer
-from groundstation.service.craft_links import CraftLinks, command_link, telemetry_link
+from groundstation.service.craft_links import (
+    CraftLinks,
+    command_link,
+    contradiction,
+    telemetry_link,
+)
 from groundstation.service.devices import DeviceList
 from groundstation.service.health import Health
 from groundstation.service.jobs import Jobs
@@ -96,7 +103,12 @@ class Station:
         self.viewer = self._shown()
         socket = socket_path(config.control.socket)
         self.page = PageService(config.page, socket)
-        self.jobs = Jobs(lambda: self.sessions.folder, self._noting("jobs"), socket)
+        self.jobs = Jobs(
+            lambda: self.sessions.folder,
+            self._noting("jobs"),
+            socket,
+            lambda: self.commander.operator.stops,
+        )
         self.devices = DeviceList(self.craft.flies_by_dongle)
         self.models = Models(self.jobs.entries)
         self.twin = TwinService(
@@ -122,6 +134,8 @@ class Station:
                 lambda: self.journal.note(kind, text, source=self.craft.command_uri or "command")
             ),
             telemetry=lambda: (self.receiver.state, self.craft.no_craft()),
+            changes=Changes(changes_path()),
+            contradiction=partial(contradiction, self.config.vehicle),
             motors=lambda link: self.newest.motors() if self.craft.is_heard(link) else None,
         )
 
@@ -180,6 +194,7 @@ class Station:
             for name, work in (
                 ("command", self.commander.keep_connected),
                 ("failsafe", self.commander.watch),
+                ("parameters", self.commander.keep_restored),
                 ("statistics", self._close_windows),
                 ("recordings", self.recordings.keep),
                 ("health", self.health.watch),

@@ -21,6 +21,8 @@ from groundstation.telemetry.packet import (
     motor_counts,
 )
 
+MOST_COUNTS = 2**31 - 1
+"""Counts to which values are held that no sensor can measure, 1e30 for none say."""
 OVERDRIVEN = 1.001
 """A duty beyond full by more than rounding."""
 
@@ -213,7 +215,7 @@ def packet_counts(samples: SampleBatch) -> dict[str, NDArray[np.int64]]:
 
     Keys: timestamp (unwrapped), battery, motors, gyro, accelerometer, angles (pitch in the
     packet's nose-up convention), debug. Exact for samples that came from packets. A channel
-    without data (NaN) gives 0.
+    without data (NaN) gives 0, a value beyond 32 bits their limit.
     """
     angles = _counts(samples.attitude, ANGLE_RAD)
     angles[:, 1] *= -1
@@ -230,4 +232,4 @@ def packet_counts(samples: SampleBatch) -> dict[str, NDArray[np.int64]]:
 
 def _counts(values: NDArray[np.float32], unit: float) -> NDArray[np.int64]:
     scaled = np.nan_to_num(values.astype(np.float64) / unit, nan=0.0)
-    return np.rint(scaled).astype(np.int64)
+    return np.rint(scaled.clip(-MOST_COUNTS, MOST_COUNTS)).astype(np.int64)

@@ -11,7 +11,8 @@ from groundstation.service import client
 from groundstation.service.api import permitted_link
 from groundstation.service.client import ask
 from groundstation.service.control_socket import ControlSocket
-from support.programs import Program
+from support.daemons import in_process
+from support.programs import Program, free_port
 
 pytestmark = pytest.mark.timeout(60)
 
@@ -66,3 +67,14 @@ def test_a_request_reaches_no_port_by_way_of_a_folder_for_all(tmp_path, speed):
     finally:
         os.unlink(link)
     assert permitted_link(f"serial:/dev/ttyACM0{speed}", tmp_path) == f"serial:/dev/ttyACM0{speed}"
+
+
+def test_a_log_file_says_where_the_page_is_and_lets_nobody_in(tmp_path):
+    address = f"http://127.0.0.1:{free_port()}"
+    port = f"page.port={address.rpartition(':')[2]}"
+    options = ("--page", "--no-record", "--for", 0, "--set", port)
+    ended = in_process("run", *options, socket_path=tmp_path / "control.sock", cwd=tmp_path)
+    said = ended.stdout + ended.stderr
+    assert f"page       {address}\n" in said
+    assert "groundstation page" in said
+    assert "token" not in said

@@ -43,7 +43,7 @@ def answered(path, folder):
     except GroundStationError as error:
         refusal = str(error)
     assert "\n" not in refusal
-    assert "does not read as" not in refusal, refusal
+    assert "that this program can read" not in refusal, refusal
 
 
 @QUICK

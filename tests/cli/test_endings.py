@@ -122,8 +122,9 @@ def test_channels_the_packet_csv_cannot_leave_out_are_told(tmp_path):
     out = tmp_path / "log.csv"
     result = groundstation("convert", RECORDINGS / "microsd_log16", out)
     assert result.returncode == 0
-    (line,) = result.stderr.strip().splitlines()
-    assert "has no battery, roll, pitch, yaw: written as 0; --physical" in line
+    left_out, duty = result.stderr.strip().splitlines()
+    assert "has no battery, roll, pitch, yaw: written as 0; --physical" in left_out
+    assert "the motors' duty is not known" in duty
     quiet = groundstation("convert", RECORDINGS / "microsd_log16", tmp_path / "p.csv", "--physical")
     assert (quiet.returncode, quiet.stderr) == (0, "")
     assert groundstation("convert", EXCERPT, tmp_path / "e.csv").stderr == ""

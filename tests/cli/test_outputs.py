@@ -8,7 +8,12 @@ from typer.testing import CliRunner
 
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
+from groundstation.links.software_craft import SoftwareCraft
+from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.session import Recording
 from support import RECORDINGS
+from support.daemons import in_process
+from support.packets import packet_recording
 
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"
 TORN = RECORDINGS / "thesis_excerpt.mcap"
@@ -80,4 +85,28 @@ def test_a_page_that_was_asked_for_is_named_in_the_answer(tmp_path):
 def test_convert_answers_programs_too(tmp_path):
     out = tmp_path / "excerpt.mcap"
     done = CliRunner().invoke(app, ["convert", str(EXCERPT), str(out), "--json"])
-    assert json.loads(done.stdout) == {"file": str(out), "samples": 25}
+    found = json.loads(done.stdout)
+    assert (found["file"], found["samples"]) == (str(out), 25)
+    assert {"gyro_x", "battery", "duty_4", "yaw"} < set(found["channels"])
+
+
+def test_a_flight_of_the_software_craft_is_inspected_with_its_marks(tmp_path):
+    craft = SoftwareCraft("crazyflie21", "learn", seed=1)
+    craft.wait(0.5)
+    craft.mark("take-off")
+    craft.wait(0.5)
+    craft.save(tmp_path / "flight1.mcap")
+    shown = in_process("inspect", tmp_path / "flight1.mcap")
+    assert shown.returncode == 0, shown.stderr
+    assert "mark: take-off" in shown.stdout
+
+
+def test_events_and_counts_of_another_program_s_file_may_lack_what_ours_have(tmp_path):
+    made = packet_recording(range(100))
+    events = [{"time_ns": 1, "kind": "mark"}, {"time_ns": 2, "kind": "mark", "text": 5, "link": []}]
+    metadata = {"rows": {"copies": "many", "out_of_order": ""}}
+    path = tmp_path / "theirs.mcap"
+    write_mcap(Recording(path, "mcap", made.samples, events=events, metadata=metadata), path)
+    shown = in_process("inspect", path)
+    assert shown.returncode == 0, shown.stderr
+    assert "mark: 5" in shown.stdout

@@ -201,8 +201,8 @@ def test_a_model_that_cannot_predict_is_refused_before_the_flight(tmp_path, monk
 def test_a_dry_run_shows_the_programme_and_reaches_for_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv("GROUNDSTATION_SOCKET", str(tmp_path / "nobody.sock"))
     plan = json.loads(pid("fly", "--gains", GAINS, "--dry-run", "--json"))
-    assert plan["programme"]["seconds"] == pytest.approx(4 + 3 * 8 * 3)
-    assert plan["programme"]["reach_m"] == pytest.approx(1.73, abs=0.01)
+    assert plan["programme"]["seconds"] == pytest.approx(4 + 3 * 8 * (2 * 0.7 + 1))
+    assert plan["programme"]["reach_m"] == pytest.approx(0.85, abs=0.01)
     assert plan["gains"]["pid_rate.yaw_kp"] > 0
     assert "10 deg" in pid("fly", "--dry-run")
 

@@ -9,10 +9,10 @@ import sys
 import pytest
 
 from groundstation.cli.sticks import (
-    CraftHeight,
     Gamepad,
     Keyboard,
     StandInPilot,
+    height_of,
     open_sticks,
 )
 from groundstation.errors import BadInputError
@@ -117,18 +117,10 @@ def test_what_is_no_source_of_thrust_is_refused(tmp_path):
             Keyboard()
 
 
-def test_a_craft_on_a_table_climbs_from_there():
-    """Its positioning system counts from the floor."""
-    height = open_sticks("height:0.5", 0.8)
-    assert isinstance(height, CraftHeight)
-    first = height.read()
-    assert not first.begin
-    assert first.height_m == pytest.approx(0.8, abs=0.05)
-    assert height.top_m == pytest.approx(1.3)
-    assert open_sticks("height:0.5", -0.02).read().height_m == 0.0
-
-
-@pytest.mark.parametrize("floor_m", [-0.4, 2.7, float("nan")])
-def test_a_craft_that_stands_where_the_height_cannot_be_asked_for_is_refused(floor_m):
-    with pytest.raises(BadInputError, match=r"stands at .* takes heights of 0\.\.3 m"):
-        open_sticks("height:0.5", floor_m)
+def test_a_height_is_no_stick_and_is_one_that_a_room_has():
+    assert height_of("height:0.6") == 0.6
+    assert height_of("height") == 0.5
+    assert height_of("keyboard") is None
+    for wrong in ("height:0.1", "height:3", "height:up", "height:nan"):
+        with pytest.raises(BadInputError, match=r"give metres, 0\.2\.\.2"):
+            height_of(wrong)

@@ -25,6 +25,7 @@ from groundstation.control.design import (
 from groundstation.control.design_report import firmware_page, firmware_report
 from groundstation.control.firmware_design import (
     DESIGN_BAND,
+    OVERSHOOT_MORE,
     WINDOW_S,
     Robustness,
     cascade_limits,
@@ -32,7 +33,12 @@ from groundstation.control.firmware_design import (
     design_cascade,
     robustness,
 )
-from groundstation.control.firmware_loop import CascadeJudge, cascade_margins, step_response
+from groundstation.control.firmware_loop import (
+    CascadeJudge,
+    cascade_margins,
+    run_cascade,
+    step_response,
+)
 from groundstation.control.firmwares import PLATFORMS, RELEASE_2014
 from groundstation.control.gains_file import (
     firmware_of_gains,
@@ -46,10 +52,18 @@ from groundstation.control.pid import PidGains
 from groundstation.control.plant import plant_of_model
 from groundstation.control.search import Budget, pareto_front
 from groundstation.control.uncertainty import corners, draws, moved, require_certain
-from groundstation.dynamics.model import THESIS, load_model, save_model, vehicle_model
+from groundstation.dynamics.model import (
+    THESIS,
+    EffectTerm,
+    Estimate,
+    load_model,
+    save_model,
+    vehicle_model,
+)
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import RawBatch
 
 DATA = Path(__file__).parent / "data"
@@ -155,12 +169,30 @@ def test_a_design_for_the_firmware_keeps_its_limits_and_beats_stock_gains():
     assert all(name in reason for name, reason in zip(one.gains, one.reasons, strict=True))
 
 
-def test_the_closest_followers_keep_the_limits_and_follow_closer_than_stock_gains_and_designs():
+def test_the_closest_followers_keep_the_limits_and_follow_closer_than_the_stock_gains():
     gains, judged, stock = closest_cascade(MODEL, "yaw", cascade_limits(), budget=SMALL)
     assert judged[SENSITIVITY] <= 2.0
-    assert judged[RMS] <= designed_yaw().design.judgement[RMS]
     assert judged[RMS] < 0.9 * stock[RMS]
+    assert judged[OVERSHOOT] <= stock[OVERSHOOT] + OVERSHOOT_MORE
     assert list(gains) == ["pid_rate.yaw_kp", "pid_rate.yaw_ki"]
+
+
+def pushed_deg_s(gains):
+    """What a craft of today, off balance by 3 mm, leans from level in 4 s: the sum."""
+    model = vehicle_model(BUILT_IN["crazyflie21"])
+    off = EffectTerm("centre_of_gravity_offset", {"x_m": Estimate(0.0), "y_m": Estimate(0.003)})
+    plant = plant_of_model(msgspec.structs.replace(model, effects=(off,)), fusion=False)
+    flown = run_cascade(plant, gains, np.zeros((round(4.0 / SAMPLE_PERIOD_S), 3)))
+    return float(np.degrees(np.abs(flown.angles[:, 0])).sum() * SAMPLE_PERIOD_S)
+
+
+def test_the_closest_followers_answer_a_moment_that_lasts_as_soon_as_the_stock_gains():
+    model = vehicle_model(BUILT_IN["crazyflie21"])
+    gains, judged, stock = closest_cascade(model, "roll", cascade_limits(), budget=SMALL)
+    assert judged[RMS] < stock[RMS]
+    assert pushed_deg_s(gains) <= 1.1 * pushed_deg_s({})
+    lazy = {**gains, "pid_rate.roll_ki": 2.0}
+    assert pushed_deg_s(lazy) > 1.5 * pushed_deg_s({})
 
 
 def test_the_stored_gains_hold_on_models_drawn_from_the_covariance():

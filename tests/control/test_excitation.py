@@ -20,7 +20,7 @@ GAINS = load_gains(Path(__file__).parent / "data" / "gains.toml")
 
 def test_c0_c1_c2_are_found_in_a_flown_programme(tmp_path):
     settings = StandInSettings(program="wait", altitude_hold=True, gains=GAINS, seed=8)
-    samples, *_ = fly_offline(settings, Programme(repeats=6), jitter_s=0.003)
+    samples, *_ = fly_offline(settings, Programme(repeats=8), jitter_s=0.003)
     flight, model = tmp_path / "flight.csv", tmp_path / "body.json"
     write_csv(Recording(flight, "csv", samples), flight)
     effects = "dead_time,rotor_acceleration_torque"

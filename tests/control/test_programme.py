@@ -52,6 +52,26 @@ def test_a_doublet_returns_the_speed_it_gave():
     assert np.abs(place).max() == pytest.approx(Programme().reach_m, rel=0.02)
 
 
+def test_a_craft_that_holds_its_place_flies_the_same_manoeuvres_one_by_one():
+    programme = Programme(axes=("roll", "yaw"), repeats=2, hold_s=0.5)
+    names, tables = zip(*programme.parts(), strict=True)
+    assert names == ("roll doublet", "roll doublet", "yaw doublet", "yaw doublet")
+    moved = programme.setpoints()
+    moved = moved[moved.any(axis=1)]
+    np.testing.assert_array_equal(moved, np.vstack(tables))
+    assert programme.held_seconds > programme.seconds
+
+
+def test_a_craft_that_holds_its_place_is_given_room_and_speed_for_its_programme_and_little_more():
+    programme = Programme()
+    assert programme.reach_m + 0.2 < programme.held_reach_m < programme.reach_m + 0.6
+    speed = 9.81 * math.tan(math.radians(10.0)) * programme.hold_s
+    assert speed < programme.speed_most_m_s < 1.3 * speed
+    assert Programme(axes=("yaw",)).held_reach_m < 0.3
+    assert Programme(axes=("yaw",)).speed_most_m_s == 1.5
+    assert not Programme(shape="level").parts()
+
+
 def test_a_step_stays_on_its_side_and_level_flight_commands_nothing():
     step = Programme(shape="step", axes=("yaw",), repeats=1).setpoints()[:, 2]
     assert set(step.tolist()) == {0.0, 60.0}
@@ -88,7 +108,7 @@ def test_what_should_not_be_flown_is_refused(changes, complaint):
         ({"age_s": 1.2}, "no telemetry for 1.20 s"),
         ({"age_s": math.nan}, "no telemetry"),
         ({"link_state": "lost"}, "telemetry lost"),
-        ({"link_state": "silent"}, "telemetry lost"),
+        ({"link_state": "silent", "age_s": 1.01}, "no telemetry for 1.01 s"),
     ],
 )
 def test_each_loss_ends_the_flight(changes, complaint):
@@ -97,6 +117,8 @@ def test_each_loss_ends_the_flight(changes, complaint):
 
 def test_a_flight_that_is_well_goes_on():
     assert reason_to_abort(answer(), LowBattery()) == ""
+    # a computer that is held up for half a second
+    assert reason_to_abort(answer(link_state="silent", age_s=0.6), LowBattery()) == ""
     assert reason_to_abort({"telemetry": None, "link_state": "streaming"}, LowBattery()) != ""
     edge = answer(yaw_deg=-179.0, roll_deg=AbortLimits().tilt_deg)
     assert reason_to_abort(edge, LowBattery()) == ""

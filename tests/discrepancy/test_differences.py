@@ -1,14 +1,19 @@
 """What flights, or parts of one, differ by is part of the errors that are stated."""
 
+import math
+
 import numpy as np
 import pytest
 
 from groundstation.discrepancy.blocks import Blocks
 from groundstation.discrepancy.differences import (
     DELAY,
+    UNMEASURED_MOTORS,
+    UNWEIGHED,
     difference,
     with_differences,
     with_open_delay,
+    with_unmeasured,
 )
 
 BLOCKS = 20
@@ -96,3 +101,27 @@ def test_a_fitted_delay_takes_what_is_open_upon_itself():
 
 def test_rows_that_leave_no_delay_open_widen_nothing():
     assert with_open_delay({"x": 0.3}, beside_a_delay(1), 0.0) == {"x": 0.3}
+
+
+def test_what_nothing_measured_is_in_the_errors_of_what_is_reckoned_by_it():
+    point = {
+        "rotor_acceleration_torque.rotor_inertia_kg_m2": 3e-8,
+        "centre_of_gravity_offset.x_m": 2e-3,
+        "imu_misalignment.roll_deg": 3.0,
+        "c0": 0.002,
+    }
+    errors = dict.fromkeys(point, 0.0) | {DELAY: 0.0, "rotor_drag.drag_n_s_m": 1.0}
+    point[DELAY] = 0.004
+
+    def wider(**known):
+        return with_unmeasured(errors, point, row_s=0.002, **known)
+
+    nothing = wider(is_weighed=False, motors_known=False)
+    inertia, offset, turned, constant = list(point)[:4]
+    assert nothing[inertia] == pytest.approx(3e-8 * math.hypot(UNWEIGHED, UNMEASURED_MOTORS))
+    assert nothing[offset] == pytest.approx(2e-3 * UNMEASURED_MOTORS)
+    assert nothing[turned] == nothing[constant] == 0.0
+    assert nothing[DELAY] == pytest.approx(0.002 / math.sqrt(12.0)), "anywhere within a row"
+    assert nothing["rotor_drag.drag_n_s_m"] == 1.0, "what is not fitted stays as it is"
+    everything = wider(is_weighed=True, motors_known=True)
+    assert everything[inertia] == everything[offset] == 0.0

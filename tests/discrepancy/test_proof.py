@@ -38,15 +38,28 @@ def test_names_and_sizes_are_the_same_whatever_stands_in_the_recordings_of_the_p
     for other in rest:
         assert other.model == first.model
         assert other.given == first.given
-        assert other.verdict == first.verdict
         assert other.base_changes == first.base_changes
-        assert other.candidates == first.candidates
-        for one, same in zip(other.effects, first.effects, strict=True):
+        fitted = (*other.effects, *other.possible)
+        for one, same in zip(fitted, first.effects, strict=True):
+            assert one.name == same.name
             assert one.parameters == same.parameters
             assert one.evidence == same.evidence
     has_it, has_not, _ = (one.proof for one in proven)
     assert has_it.after.gap < has_it.before.gap
     assert has_not.after.gap > has_not.before.gap
+
+
+def test_a_name_that_the_proof_contradicts_is_possible_and_the_verdict_says_no_more(proven):
+    has_it, has_not, _ = proven
+    assert has_it.findings.verdict is Verdict.EFFECTS_FOUND
+    found = has_not.findings
+    assert found.verdict in (Verdict.UNEXPLAINED, Verdict.NO_DISCREPANCY)
+    assert found.effects == ()
+    (doubted,) = found.possible
+    assert doubted.refused.words == "prediction errors of proof samples do not fall by 3 %"
+    assert [one.accepted for one in found.candidates if one.name == doubted.name] == [False]
+    assert {term.name for term in found.moved.effects} >= {*HIDDEN}
+    assert has_not.proof.explained is None
 
 
 def test_nothing_of_the_recordings_of_the_proof_is_fitted_or_decides(monkeypatch):

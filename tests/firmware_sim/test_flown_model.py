@@ -33,8 +33,11 @@ UNLIKE_THE_PLANT = {
     "rotor_gyroscopic_torque": {"rotor_inertia_kg_m2": 3.1e-8},
     "rotor_acceleration_torque": {"rotor_inertia_kg_m2": 4.4e-8},
     "attitude_filter_lean": {"strength": 1.0},
+    "rotor_drag": {"drag_n_s_m": 0.0052},
 }
-IN_THE_RATES = tuple(name for name in UNLIKE_THE_PLANT if name != "attitude_filter_lean")
+IN_THE_RATES = tuple(
+    name for name in UNLIKE_THE_PLANT if name not in ("attitude_filter_lean", "rotor_drag")
+)
 
 
 def model_file(folder, craft, effects):

@@ -15,6 +15,7 @@ from groundstation.fleet.engine import carried_out
 from support.daemons import scheduler, worker
 from support.programs import free_port
 
+dask = pytest.importorskip("dask", reason="Dask is not installed")
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
 pytestmark = pytest.mark.timeout(600)
 
@@ -59,14 +60,29 @@ def test_a_recording_that_workers_die_of_is_set_aside_and_all_others_are_done():
     assert [address for address, result in done if result is None] == ["bad"]
 
 
-def test_a_worker_that_is_killed_costs_only_time(tmp_path):
+def test_a_run_whose_workers_do_not_come_back_ends_with_one_line(monkeypatch):
+    class Deserted(distributed.LocalCluster):
+        def __init__(self, **options):
+            super().__init__(**{**options, "n_workers": 0})
+
+    monkeypatch.setattr(distributed, "LocalCluster", Deserted)
+    monkeypatch.setattr(engine, "GONE_S", 0.5)
+    monkeypatch.setattr(engine, "LOOK_S", 0.1)
+    with pytest.raises(GroundStationError, match="none began anew; what has arrived is kept"):
+        list(carried_out(doubled, names(4), workers=2))
+
+
+def test_a_worker_that_is_killed_costs_only_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "GONE_S", 20.0)
     addresses = []
     for number in range(20):
         path = tmp_path / f"r{number}"
         addresses.append(str(path))
         if number in (3, 11):
             path.touch()
-    done = dict(carried_out(killed_once, addresses, workers=2))
+    # Dask's own limit gives a worker up that is not back by then
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": 0.05}):
+        done = dict(carried_out(killed_once, addresses, workers=2))
     assert done == {one: os.path.basename(one) for one in addresses}
 
 

@@ -65,3 +65,9 @@ def test_angles_read_between_rows_are_seen_to_be_with_noise_of_their_own_and_wit
 
 def test_a_channel_that_never_changes_tells_nothing():
     assert not force_read_between(np.ones((COUNT, 3)))
+
+
+@pytest.mark.filterwarnings("error")
+def test_few_rows_are_judged_without_a_warning_of_scipy(motion):
+    few = at_rows(motion)[:100]
+    assert not angles_read_between(few, few)

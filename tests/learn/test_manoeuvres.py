@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from groundstation.control.holding import AHEAD_S, NEAR_M
+from groundstation.control.programme import GRAVITY, stands_again
 from groundstation.errors import BadInputError
 from groundstation.learn.manoeuvres import (
     BODY,
-    GRAVITY,
     HOVER,
     PROOF,
     Limits,
@@ -29,7 +30,7 @@ def test_no_manoeuvre_leans_further_than_allowed_or_comes_near_the_ground(limits
 
 @pytest.mark.parametrize("limits", LIMITS)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_every_manoeuvre_stays_in_its_room_and_ends_at_rest_where_nothing_slows_it_down(
+def test_a_craft_can_brake_in_its_room_in_every_manoeuvre_and_ends_at_rest_where_nothing_slows_it(
     limits, seed
 ):
     for one in library(limits, seed).values():
@@ -41,28 +42,42 @@ def test_every_manoeuvre_stays_in_its_room_and_ends_at_rest_where_nothing_slows_
             pushed = ahead * turned[0] - left * turned[1], ahead * turned[1] + left * turned[0]
             velocity += np.array(pushed) / 100
             place += velocity / 100
-            assert np.hypot(*place) <= limits.reach_m + 0.01, one.name
+            assert np.hypot(*(place + AHEAD_S * velocity)) <= limits.reach_m - NEAR_M + 0.01
         assert np.hypot(*velocity) < 0.15, one.name
+
+
+def test_one_that_was_interrupted_goes_on_from_where_a_craft_that_rests_is_not_carried_off():
+    table = library(Limits())["to and fro, left and right"].table
+    for row in range(0, len(table) - 150, 37):
+        begins = stands_again(table, row)
+        assert row <= begins <= row + 100, "half a swing further at most"
+        place = velocity = 0.0
+        for lean in np.radians(table[begins:, 0]):
+            velocity += GRAVITY * np.tan(lean) / 100
+            place += velocity / 100
+            assert abs(place) < 1.2 * (Limits().reach_m - NEAR_M)
+    doublets = library(Limits())["roll doublets"].table
+    assert stands_again(doublets, 0) == 0
+    assert stands_again(doublets, 30) == pytest.approx(100, abs=6)
+    pushes = np.vstack([np.zeros((100, 4)), np.tile([5.0, 0.0, 0.0, 0.0], (100, 1))])
+    assert stands_again(pushes, 150) == len(pushes), "nothing stops it any more"
 
 
 def test_a_smaller_room_makes_smaller_leans():
     limits = Limits(reach_m=0.5)
-    assert limits.lean(30.0, 1.0) < Limits(reach_m=1.0).lean(30.0, 1.0) <= 12.0
-    lean = math.radians(limits.lean(30.0, 1.0))
-    assert GRAVITY * math.tan(lean) * 1.0**2 <= 0.5 + 1e-9
+    assert limits.lean(10.0, 0.7) < Limits(reach_m=1.0).lean(10.0, 0.7) <= 10.0
+    lean = math.radians(limits.lean(10.0, 0.7))
+    assert GRAVITY * math.tan(lean) * 0.7**2 <= 0.5 - NEAR_M
 
 
-def test_a_flight_begins_and_ends_level_and_says_when_what_is_flown():
+def test_a_flight_says_what_is_flown_about_when_and_has_time_to_come_back_between():
     plan = flight_of(BODY, "the body", Limits(), seed=1)
-    table = plan.setpoints()
-    assert not table[0].any()
-    assert not table[-1].any()
-    for row, name in zip(plan.timeline(), BODY, strict=True):
-        assert row["fly"] == name
-        first = round(100 * row["at_s"])
-        moves = table[first : first + round(100 * row["seconds"])]
-        assert moves.any()
-        assert not table[first - 100 : first].any()
+    rows = plan.timeline()
+    assert [row["fly"] for row in rows] == [name for name, _ in plan.parts()] == list(BODY)
+    for row, after, (_, table) in zip(rows, rows[1:], plan.parts(), strict=False):
+        assert row["seconds"] == len(table) / 100
+        assert after["at_s"] >= row["at_s"] + row["seconds"] + 2.0
+    assert plan.seconds > rows[-1]["at_s"] + rows[-1]["seconds"]
 
 
 def test_random_levels_are_those_of_the_seed():

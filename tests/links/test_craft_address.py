@@ -2,7 +2,7 @@
 
 import pytest
 
-from groundstation.links.craft_address import both_names, ways_of
+from groundstation.links.craft_address import both_names, is_software, ways_of
 
 SERIALS = ("5CC6CC66B8", "e7a0b1c2d3")
 
@@ -29,3 +29,25 @@ def test_links_without_one_lead_through_none():
     ways = ways_of(["usb://0", radio])
     assert ways["usb://0"] == {"cable 0"}
     assert "dongle 71" in ways[radio]
+
+
+@pytest.mark.parametrize(
+    ("uri", "software"),
+    [
+        ("udp://127.0.0.1:19850", True),
+        ("udp://127.3.2.1:19850", True),
+        ("udp://localhost:19850", True),
+        ("software:crazyflie21", True),
+        ("udp://192.0.2.1:2390", False),  # an ESP-Drone, say
+        ("udp://127.0.0.1.example.org:2390", False),
+        ("udp://[::1]:2390", False),
+        ("udp://128.0.0.1:1", False),
+        ("udp://:1", False),
+        ("radio://0/80/2M/E7E7E7E7E7", False),
+        ("usb://0", False),
+        ("daemon", False),
+        ("", False),
+    ],
+)
+def test_only_a_craft_of_this_machine_is_taken_for_software(uri, software):
+    assert is_software(uri) is software

@@ -16,7 +16,8 @@ from groundstation.links import crazyflie
 from groundstation.links.command import CommandState
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.factory import make_command_link
-from groundstation.links.supervisor import Supervisor
+from groundstation.links.supervisor import Place, Supervisor
+from groundstation.telemetry.log_table import LogTable
 from support.crafts import ServedCraft, served
 from support.crafts import flown_link as flown
 from support.programs import free_port
@@ -188,6 +189,52 @@ def test_a_craft_that_knows_its_height_holds_it_and_leans_and_turns_in_the_signs
     assert entries[-1]["thrust"] == 0
     assert "height_m" not in entries[-1]
     assert max(entry.get("height_m", 0.0) for entry in entries) == 0.5
+
+
+@pytest.mark.parametrize("protocol", [7, 12])
+def test_a_craft_with_a_flow_deck_moves_forward_and_left_as_it_is_headed_and_says_so(
+    protocol: int,
+) -> None:
+    async def fly(craft: ServedCraft) -> None:
+        link = CrazyflieLink(craft.uri)
+        entries: list[dict[str, Any]] = []
+        tables: list[LogTable] = []
+        link.on_entry, link.on_table = entries.append, tables.append
+        await link.open()
+        assert (link.vehicle, link.craft_id) == ("crazyflie21", "000000050000000000000abc")
+        async with asyncio.timeout(PATIENCE_S):
+            while not (link.holds_place and link.supervisor.place is not None):
+                await asyncio.sleep(0.02)
+
+        async def go(seconds: float, vx_m_s: float, vy_m_s: float, yaw_dps: float = 0.0) -> Place:
+            for _ in range(round(50 * seconds)):
+                link.setpoint(0, 0, yaw_dps, 0, height_m=0.5, vx_m_s=vx_m_s, vy_m_s=vy_m_s)
+                await asyncio.sleep(0.02)
+            assert link.supervisor.place is not None
+            return link.supervisor.place
+
+        begun = await go(3.0, 0.0, 0.0)
+        assert begun.tilt_deg < 10.0
+        ahead = await go(1.5, 0.4, 0.0)
+        assert ahead.x_m > begun.x_m + 0.15
+        assert ahead.vx_m_s == pytest.approx(0.4, abs=0.2)
+        aside = await go(1.5, 0.0, 0.4)
+        assert aside.y_m > ahead.y_m + 0.15
+        before_deg = craft.craft.state().angles_deg[2]
+        await go(1.0, 0.0, 0.0, yaw_dps=40.0)
+        assert craft.craft.state().angles_deg[2] > before_deg + 15.0
+        truth, said = craft.craft.state().position_m, link.supervisor.place
+        assert said is not None
+        assert (said.x_m, said.y_m) == pytest.approx(truth[:2], abs=0.3)
+        link.setpoint(0, 0, 0, 0)
+        await link.close()
+        assert {entry.get("vx_m_s") for entry in entries} == {0.0, 0.4, None}
+        heights = [float(one.columns["stateEstimate.z"][0]) for one in tables]
+        assert max(heights) == pytest.approx(0.5, abs=0.15)
+
+    number = 0xABC << 64 | 5  # the first of its three parts is the lowest
+    with served(craft="crazyflie21", flow_deck=True, protocol=protocol, cpu_id=number) as craft:
+        asyncio.run(fly(craft))
 
 
 def test_a_craft_that_is_gone_is_said_to_be_gone_and_not_to_lack_a_deck() -> None:

@@ -185,6 +185,6 @@ def test_a_log_block_that_stays_away_is_a_link_that_is_lost(
     with (
         served(craft="crazyflie21") as craft,
         narrow(craft.server.port) as radio,
-        pytest.raises(LinkLostError, match=r"no gyro, motor, pm came for 0.6 s; connecting again"),
+        pytest.raises(LinkLostError, match=r"no gyro, pm, pwm came for 0.6 s; connecting again"),
     ):
         asyncio.run(session(radio))

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from groundstation.links.supervisor import HEIGHT, HEIGHT_VARIANCE, INFO, POWER, Supervisor
+from groundstation.links.supervisor import (
+    HEIGHT,
+    HEIGHT_VARIANCE,
+    INFO,
+    LEAN,
+    PLACE,
+    PLACE_VARIANCES,
+    POWER,
+    Place,
+    Supervisor,
+)
 
 
 @pytest.mark.parametrize(
@@ -39,3 +49,20 @@ def test_a_height_is_known_where_the_filter_runs_and_is_sure(
     assert (said.height_m == 0.8) is is_known
     assert Supervisor.of({HEIGHT: 0.8}).height_m is None
     assert Supervisor.of({HEIGHT: float("nan"), HEIGHT_VARIANCE: variance_m2}).height_m is None
+
+
+@pytest.mark.parametrize(("x_m2", "y_m2", "is_known"), [(1e-4, 1e-4, True), (1e-4, 1.0, False)])
+def test_a_place_is_known_where_the_filter_is_sure_of_both_coordinates(
+    x_m2: float, y_m2: float, is_known: bool
+) -> None:
+    said = dict(zip(PLACE_VARIANCES, (x_m2, y_m2), strict=True))
+    assert Supervisor.of(said).knows_place is is_known
+    assert not Supervisor.of({}).knows_place
+
+
+def test_a_place_says_how_far_the_craft_leans() -> None:
+    where = dict(zip(PLACE, (1.0, 2.0, 0.5, 0.1, 0.2, -0.3), strict=True))
+    place = Place.of(where | dict(zip(LEAN, (30.0, 40.0), strict=True)), 7.0)
+    assert (place.x_m, place.vz_m_s, place.heard_s) == (1.0, -0.3, 7.0)
+    assert place.tilt_deg == pytest.approx(48.4, abs=0.1)
+    assert not Place.of(where, 7.0).tilt_deg < 180.0, "level, though it does not say so"

@@ -9,6 +9,7 @@ GOOD = {
     "statistics": {"loss_pct": 0.1},
     "viewer": {"behind_s": 0.0},
     "twin": None,
+    "command": None,
 }
 
 
@@ -56,6 +57,25 @@ def test_a_simulator_that_is_being_prepared_is_waited_for_and_alarms_nobody():
 def test_a_live_view_that_is_behind_is_told():
     said = "A live view is 12 s behind; it is sent less often"
     assert told(changed(viewer={"behind_s": 12.2})) == [("warning", said)]
+
+
+def test_gains_that_no_flight_has_proven_are_named_until_the_former_ones_are_back():
+    left = {
+        "pid_rate.roll_kp": {"former": 250.0, "now": 180.5, "client": "learn"},
+        "pid_rate.roll_kd": {"former": 2.5, "now": None, "client": "learn"},
+    }
+    status = changed(command={"state": "connected", "unproven": left})
+    (alarm,) = alarms(status, "", 3.9)
+    assert alarm["level"] == "alarm"
+    assert alarm["text"] == (
+        "Gains of an interrupted flight are on the craft; the former ones are being written back"
+    )
+    assert alarm["details"] == (
+        "pid_rate.roll_kp: 180.5, before 250; pid_rate.roll_kd: not known, before 2.5"
+    )
+    away = changed(command={"state": "lost", "unproven": left})
+    assert told(away)[0][1].endswith("the former ones are written back when it is connected")
+    assert told(changed(command={"state": "connected", "unproven": {}})) == []
 
 
 def test_the_worst_comes_first():

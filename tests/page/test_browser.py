@@ -3,32 +3,22 @@
 import json
 import re
 import shutil
-import threading
-import time
 
+import numpy as np
 import psutil
 import pytest
 
 from firmware_sim.supervisor import CRASHED
-from groundstation.errors import GroundStationError
 from groundstation.recording.open_recording import open_recording
-from groundstation.service.client import Pilot
 from support import RECORDINGS
 from support.crafts import served
 from support.daemons import groundstation
-from support.programs import free_port
+from support.page_requests import expect
 from support.waiting import until
 
 FLIGHT = "stand_in_flight.mcap"
 REAL_FLIGHTS = ("nanobench_figure8.mcap", "nanobench_trefoil.mcap")
 NUMBERS = re.compile(r"^\d+ numbers$")
-
-
-def expect(locator):
-    from playwright.sync_api import expect as library
-
-    library.set_options(timeout=120_000)
-    return library(locator)
 
 
 # these have daemons of their own: the one for all others flies only from then on
@@ -60,88 +50,7 @@ def test_a_stopped_daemon_is_told_as_an_alarm_and_its_rows_as_old(page_daemon, v
     expect(page.locator("#live")).to_have_text("live")
 
 
-def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit, tmp_path):
-    (tmp_path / "waiting.toml").write_text(
-        "[stand_in]\ncraft = 'crazyflie21'\nprogram = 'wait'\naltitude_hold = true\n"
-        "[failsafe]\nlevel_s = 0.5\nstop_s = 2.0\n"
-    )
-    daemon = page_daemon("--config", "waiting.toml")
-    daemon.recording()
-    page = visit(daemon.address())
-    expect(page.locator("#stop-why")).to_contain_text("No command link")
-    page.get_by_label("Command the craft at").fill(f"udp://127.0.0.1:{free_port()}")
-    page.get_by_role("button", name="Connect").click()
-    expect(page.locator("#armed")).to_have_text("yes")  # as the craft says: this one arms itself
-    expect(page.get_by_role("button", name="Arm…", exact=True)).to_be_disabled()
-    disarm = page.get_by_role("button", name="Disarm…")
-    disarm.click()
-    page.get_by_role("dialog").get_by_role("button", name="No").click()
-    disarm.click()
-    expect(page.locator("#said")).to_contain_text("Connecting to")  # nothing was asked since
-    page.get_by_role("dialog").get_by_role("button", name="Disarm the motors").click()
-    expect(page.locator("#said")).to_contain_text("has armed itself again")
-    expect(page.locator("#armed")).to_have_text("yes")
-    expect(page.locator("#stop-why")).to_have_text("Stop acts at once, whoever commands.")
-    ended = []
-
-    def fly():
-        with Pilot(daemon.socket, "a program") as pilot:
-            pilot.setpoint(0.0, 0.0, 0.0, 0)  # unlocks the thrust of today's firmware
-            time.sleep(0.1)
-            while not ended:
-                try:
-                    pilot.setpoint(0.0, 0.0, 0.0, 40000)
-                except GroundStationError as error:
-                    ended.append(str(error))
-                time.sleep(0.02)
-
-    flight = threading.Thread(target=fly, daemon=True)
-    flight.start()
-    expect(page.locator("#motors")).to_contain_text("running")
-    expect(page.locator("#level")).to_be_enabled()
-    page.keyboard.press("l")
-    expect(page.locator("#level")).to_have_attribute("aria-pressed", "true")
-    page.get_by_label("Mark this moment").focus()
-    page.keyboard.press("Escape")
-    expect(page.locator("#stopped")).to_have_text(
-        re.compile(r"^Stop pressed at \S+: motors stood within \d\.\d s\.$")
-    )
-    expect(page.locator("#motors")).to_have_text("off")
-    expect(page.locator("#events")).to_contain_text("a program commands no more")
-    expect(page.locator("#events")).to_contain_text("motors stopped")
-    flight.join(60)
-    assert "stopped the motors" in ended[0]
-
-
-SIZES = [(1280, 720), (1440, 900), (390, 844)]
-
-
-@pytest.mark.parametrize("size", SIZES, ids=["small", "desktop", "phone"])
-def test_stop_is_in_the_same_corner_on_every_part_whatever_alarms_there_are(flying, visit, size):
-    width, height = size
-    page = visit(flying.address(), viewport={"width": width, "height": height})
-    stop = page.get_by_role("button", name="Stop motors")
-    expect(page.locator("#live")).to_have_text("live")
-    places = []
-    for part in page.locator("nav a[href^='#']").all():
-        part.click()
-        for alarms in (0, 5):
-            page.evaluate(ALARMS, alarms)
-            page.mouse.wheel(0, 300)
-            places.append(stop.bounding_box())
-    assert all(place == places[0] for place in places)
-    assert places[0]["x"] + places[0]["width"] > width - 20
-    assert places[0]["y"] + places[0]["height"] > height - 20
-    assert places[0]["height"] >= 44
-
-
-ALARMS = """async (count) => {
-    const { showAlarms } = await import("/alarms.js");
-    showAlarms(Array.from({ length: count }, (_, n) => ({ level: "alarm", text: `A thing ${n}` })));
-}"""
-
-
-def test_a_parameter_is_searched_changed_after_a_question_and_put_back(page_daemon, visit):
+def test_a_parameter_is_searched_changed_after_a_question_stored_and_put_back(page_daemon, visit):
     with served(craft="crazyflie21") as craft:
         page = visit(page_daemon("--link", craft.uri, "--no-record").address())
         expect(page.locator("#armed")).to_have_text("yes")
@@ -159,6 +68,14 @@ def test_a_parameter_is_searched_changed_after_a_question_and_put_back(page_daem
         expect(page.get_by_role("dialog")).to_contain_text(f"pid_rate.roll_kp: {before} to 61")
         page.get_by_role("dialog").get_by_role("button", name="Change").click()
         expect(row).to_contain_text(f"61 (was {before})")
+        page.get_by_role("button", name="Store gains").click()
+        page.get_by_role("dialog").get_by_role("button", name="Store").click()
+        expect(row).to_contain_text(f"61 (was {before}), stored 61")
+        assert craft.craft.stored == {"pid_rate.roll_kp": 61.0}
+        page.get_by_role("button", name="Clear stored gains").click()
+        page.get_by_role("dialog").get_by_role("button", name="Clear").click()
+        expect(row).not_to_contain_text("stored")
+        assert craft.craft.stored == {}
         page.get_by_role("button", name="Put back 1").click()
         page.get_by_role("dialog").get_by_role("button", name="Change").click()
         expect(row.get_by_role("cell").nth(1)).to_have_text(before)
@@ -328,7 +245,7 @@ def test_a_recording_is_found_inspected_fitted_and_searched_and_the_reports_read
     row.get_by_label(f"Role of {FLIGHT}").select_option("fit")
     for work in ("Inspect", "Fit a model"):
         page.get_by_role("button", name=work).click()
-        expect(page.locator("#said")).to_contain_text("Begun")
+        expect(page.locator("#said")).to_contain_text("Started")
     inspected = page.locator("#jobs tr", has_text="inspect")
     expect(inspected).to_contain_text("done")
     report = report_of(page, "fit")
@@ -338,7 +255,7 @@ def test_a_recording_is_found_inspected_fitted_and_searched_and_the_reports_read
     expect(fitted).to_contain_text(re.compile(r"thrust_per_mass \S+ \+- \S+"))
     page.locator("#model").select_option(index=0)
     page.get_by_role("button", name="Find the discrepancy").click()
-    expect(page.locator("#said")).to_contain_text("Begun")
+    expect(page.locator("#said")).to_contain_text("Started")
     report = report_of(page, "discrepancy")
     expect(report.locator("svg").first).to_be_visible()
     expect(report.locator("body")).to_contain_text("Proof:")
@@ -378,7 +295,7 @@ def test_who_reads_only_the_page_gets_from_two_real_flights_to_what_is_missing_a
     searched = page.locator("#jobs tr", has=cell)
     for name, words in {
         "velocity_moment": "tipping moment of blade flapping",
-        "rotor_drag": "drag of the rotors",
+        "imu_lever_arm": "sensor off the centre",
     }.items():
         expect(searched).to_contain_text(f"{name}: ")
         expect(report).to_contain_text(words)
@@ -488,6 +405,41 @@ def test_any_file_is_opened_played_and_scrubbed_with_the_keyboard(flying, visit)
     # of this file, though the one before had the same channels in other places
     expect(plots.filter(has_text="Motors")).to_contain_text("M3 82.5")
     expect(plots.filter(has_text="Rates")).to_contain_text("x 21.1")
+
+
+def test_of_a_file_that_nobody_knows_the_columns_are_asked_and_the_map_can_be_saved(
+    flying, visit, tmp_path
+):
+    rows = [f"{2 * n};{60 * (-1) ** n};0.5;-9.8;{1.5 + 0.01 * n};hover" for n in range(200)]
+    file = tmp_path / "my log.csv"
+    file.write_text("stamp_ms;turn;rollrate;az;theta;note\n" + "\n".join(rows) + "\n")
+    page = visit(flying.address())
+    page.get_by_role("link", name="Open", exact=True).click()
+    page.get_by_label("Choose a file").set_input_files(file)
+    form = page.locator("#columns")
+    expect(form).to_contain_text("Columns of my log.csv")
+    expect(form.get_by_role("row", name="Accelerometer z")).to_contain_text("gravity in m/s^2")
+    expect(form.get_by_label("Accelerometer z: direction")).to_have_value("-1")
+    expect(form.get_by_label("Time: column")).to_have_value("stamp_ms")
+    form.get_by_label("Time: column").select_option("")
+    form.get_by_role("button", name="Use this map").click()
+    expect(page.locator("#columns-wrong")).to_have_text(re.compile("Choose the time's column"))
+    form.get_by_label("Time: column").select_option("stamp_ms")
+    form.get_by_label("Gyro x: column").select_option("turn")
+    form.get_by_label("Gyro x: unit").select_option("deg/s")
+    axe_finds_nothing(page)
+    form.get_by_role("button", name="Use this map").click()
+    expect(page.locator("#opened-state")).to_contain_text("0.4 s")
+    expect(form).to_be_hidden()
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="Save the column map my log.map.toml").click()
+    made = saved.value.path()
+    read = open_recording(file, column_map=made).samples
+    assert np.degrees(read.gyro[:, 0]).max() == pytest.approx(60.0)
+    assert read.accelerometer[:, 2] == pytest.approx(9.8)
+    shown = open_recording(flying.sessions / "my log.mcap").samples
+    assert np.array_equal(shown.gyro, read.gyro, equal_nan=True)
+    assert not (flying.sessions / "opened").exists()
 
 
 def test_work_that_cannot_be_done_is_refused_in_words_and_a_job_can_be_cancelled(flying, visit):

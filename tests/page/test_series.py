@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import GroundStationError
-from groundstation.page.opening import add, add_example
+from groundstation.page.opening import UnknownColumnsError, add, add_example
 from groundstation.page.series import ROWS_MOST, series, write
 from groundstation.recording.open_recording import open_recording
 from support import RECORDINGS
@@ -55,7 +55,7 @@ async def pieces(content):
 
 def test_a_strangers_file_becomes_a_recording_and_overwrites_none(tmp_path):
     content = (RECORDINGS / "thesis_excerpt.csv").read_bytes()
-    names = [asyncio.run(add(tmp_path, "flight.csv", pieces(content))) for _ in range(2)]
+    names = [asyncio.run(add(tmp_path, "flight.csv", pieces(content))).file for _ in range(2)]
     assert names == ["flight.mcap", "flight_2.mcap"]
     assert len(open_recording(tmp_path / "flight_2.mcap").samples) == 25
     assert not (tmp_path / "opened").exists()
@@ -71,6 +71,45 @@ def test_what_is_no_recording_is_refused_in_words_and_leaves_nothing(tmp_path):
     for name in ("a.mcap", "a.csv"):
         with pytest.raises(GroundStationError, match=name):
             asyncio.run(add(tmp_path, name, pieces(b"no recording" * 20)))
+    assert not list(tmp_path.iterdir())
+
+
+UNKNOWN = "t_ms,turn,az\n" + "".join(f"{10 * n},{(-1) ** n * 90},9.8\n" for n in range(50))
+
+
+def test_of_a_file_that_nobody_knows_the_columns_are_asked_and_nothing_is_kept(tmp_path):
+    with pytest.raises(UnknownColumnsError) as asked:
+        asyncio.run(add(tmp_path, "log.csv", pieces(UNKNOWN.encode())))
+    form = asked.value.form
+    assert [one["reference"] for one in form["columns"]] == ["t_ms", "turn", "az"]
+    guessed = {one["key"]: one["column"] for one in form["channels"] if one["column"]}
+    assert guessed == {"time": "t_ms", "accelerometer.z": "az"}
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_answers_make_a_recording_and_a_map(tmp_path):
+    chosen = [
+        {"key": "time", "column": "t_ms", "unit": "ms"},
+        {"key": "gyro.x", "column": "turn", "unit": "deg/s", "sign": -1},
+    ]
+    made = asyncio.run(add(tmp_path, "log.csv", pieces(UNKNOWN.encode()), json.dumps(chosen)))
+    (tmp_path / "map.toml").write_text(made.map)
+    (tmp_path / "log.csv").write_text(UNKNOWN)
+    read = open_recording(tmp_path / "log.csv", column_map=tmp_path / "map.toml").samples
+    shown = open_recording(tmp_path / made.file).samples
+    assert np.degrees(shown.gyro[:2, 0]) == pytest.approx([-90.0, 90.0])
+    assert np.array_equal(shown.gyro, read.gyro, equal_nan=True)
+    assert not (tmp_path / "opened").exists()
+
+
+@pytest.mark.parametrize("answers", [
+    "no JSON", "[]", '[{"key": "time", "column": "t_ms", "unit": "ms"}]',
+    '[{"key": "x]\\n[y", "column": 1, "unit": "ms"}]',
+    '[{"key": "gyro.x", "column": "none", "unit": "deg/s"}]',
+])  # fmt: skip
+def test_answers_that_are_none_are_refused_in_words(answers, tmp_path):
+    with pytest.raises(GroundStationError, match=r"log\.csv"):
+        asyncio.run(add(tmp_path, "log.csv", pieces(UNKNOWN.encode()), answers))
     assert not list(tmp_path.iterdir())
 
 

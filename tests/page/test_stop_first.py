@@ -1,54 +1,34 @@
-"""Stop, level and disarm wait for no other request of the page, whatever the daemon is slow at."""
+"""What ends the turning of motors waits for no other request, whatever the daemon is slow at."""
 
 import asyncio
-import json
 import re
+
+import pytest
 
 from groundstation.page.access import Access
 from groundstation.page.app import page_app
+from support.page_requests import HOST, PORT, asked, browser
 from support.waiting import eventually
 
-PORT = 9080
-HOST = f"127.0.0.1:{PORT}"
 OTHERS = 20
-AT_ONCE = (("stop", None), ("level", {"on": True}), ("arm", {"on": False}))
+STOPS = (("stop", None), ("level", {"on": True}), ("arm", {"on": False}))
+LAND = ("land", None)
 
 
-async def asked(app, method, path, headers, body=None):
-    """The status of one answer."""
-    said = []
-    content = b"" if body is None else json.dumps(body).encode()
-
-    async def receive():
-        return {"type": "http.request", "body": content, "more_body": False}
-
-    async def send(message):
-        said.append(message)
-
-    path, _, query = path.partition("?")
-    scope = {"type": "http", "http_version": "1.1", "scheme": "http", "root_path": ""}
-    where = {"path": path, "raw_path": path.encode(), "query_string": query.encode()}
-    await app({**scope, **where, "method": method, "headers": headers}, receive, send)
-    return said[0]["status"]
-
-
-def test_a_stop_is_answered_while_all_else_that_was_asked_for_waits(tmp_path):
+@pytest.mark.parametrize(
+    ("at_once", "waits"), [(STOPS, [LAND]), ([LAND], [])], ids=["stop", "land"]
+)
+def test_it_is_answered_while_all_else_that_was_asked_for_waits(tmp_path, at_once, waits):
     access = Access(b"key", PORT)
-    session = access.new_session()
-    headers = [
-        (b"host", HOST.encode()), (b"origin", f"http://{HOST}".encode()),
-        (b"cookie", f"{access.cookie}={session}".encode()),
-        (b"x-change-token", access.change_token(session).encode()),
-    ]  # fmt: skip
-    stranger = [(b"host", HOST.encode())]
+    headers, stranger = browser(access), [(b"host", HOST.encode())]
     waiting = []
 
     async def daemon(reader, writer):
-        """Answers what ends the turning of motors, and nothing else."""
+        """Answers what is asked for at once, and nothing else."""
         head = await reader.readuntil(b"\r\n\r\n")
         length = re.search(rb"content-length: (\d+)", head.lower())
         await reader.readexactly(int(length[1]) if length else 0)  # left unread it were a reset
-        if any(f"/command/{what} ".encode() in head for what, _ in AT_ONCE):
+        if any(f"/command/{what} ".encode() in head for what, _ in at_once):
             writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}")
             await writer.drain()
         else:
@@ -68,12 +48,13 @@ def test_a_stop_is_answered_while_all_else_that_was_asked_for_waits(tmp_path):
                 ("GET", "/devices", headers, None),
                 ("GET", "/?token=x", stranger, None),
                 ("POST", "/do/link", headers, {"name": "stand-in"}),
+                *(("POST", f"/do/command/{what}", headers, body) for what, body in waits),
             )
         ]
         await eventually(lambda: len(waiting) >= 6, "the daemon is asked")
         answers = [
             await asyncio.wait_for(asked(app, "POST", f"/do/command/{what}", headers, body), 60)
-            for what, body in AT_ONCE
+            for what, body in at_once
         ]
         assert not any(other.done() for other in others)
         server.close()
@@ -84,4 +65,4 @@ def test_a_stop_is_answered_while_all_else_that_was_asked_for_waits(tmp_path):
         await asyncio.gather(*others, return_exceptions=True)
         return answers
 
-    assert asyncio.run(session_of_a_page()) == [200] * 3
+    assert asyncio.run(session_of_a_page()) == [(200, b"{}")] * len(at_once)

@@ -229,9 +229,9 @@ def test_a_log_without_the_fixed_frequency_event_has_tables_but_no_samples(folde
         (b"\xbc\x03\x00\x01\x00", "version 3"),
         (b"\xbc\x02\x00", "header of the microSD log is damaged"),
         (header_bytes(EVENTS)[:-5], "header of the microSD log is damaged: a name at byte"),
-        (header_bytes({1: ("e", {"a.b": "Z"})}), "variable 'a.b(Z)' has no known type"),
+        (header_bytes({1: ("e", {"a.b": "Z"})}), "variable a.b(Z) has no known type"),
         (header_bytes({1: ("e", {}), 2: ("e", {})}), "event 'e' is there twice"),
-        (b"\xbc\x02\x00\x01\x00\x01\x00\xff\x00", "utf-8"),
+        (b"\xbc\x02\x00\x01\x00\x01\x00\xff\x00", "the name at byte 7 is no text"),
     ],
 )
 def test_what_is_no_log_is_refused_in_one_line(folder, data, message):
@@ -336,3 +336,49 @@ def test_the_rows_kept_in_order_are_in_order_and_as_many_as_can_be(times):
     for row, time in enumerate(times):
         best[row] = 1 + max((best[b] for b in range(row) if times[b] <= time), default=0)
     assert keep.sum() == max(best, default=0)
+
+
+def motors_log(folder, columns):
+    """A log of 400 rows of these motor columns (n,)."""
+    names = dict.fromkeys(columns, "f")
+    rows = zip(*(np.asarray(one, float).tolist() for one in columns.values()), strict=True)
+    records = [(FIXED, 5_000_000 + 2000 * row, values) for row, values in enumerate(rows)]
+    return read_microsd(saved(folder, log_bytes({FIXED: ("fixedFrequency", names)}, records)))
+
+
+def moving(names, seed):
+    draw = np.random.default_rng(seed).integers(20_000, 40_000, (400, len(names)))
+    return {name: draw[:, k] for k, name in enumerate(names)}
+
+
+ASKED = moving([f"motor.m{m}" for m in range(1, 5)], 1)
+GIVEN = moving([f"pwm.m{m}_pwm" for m in range(1, 5)], 2)
+
+
+def test_some_pwm_beside_all_commands_are_not_mixed_with_them(folder):
+    recording = motors_log(folder, {**ASKED, "pwm.m1_pwm": GIVEN["pwm.m1_pwm"]})
+    assert recording.samples.duty[:, 0] * 65535 == pytest.approx(ASKED["motor.m1"], abs=0.01)
+    assert "the motors' duty is not known" in recording.metadata["unclear"]["duty"]
+    assert recording.metadata["notes"]["1"].startswith("only pwm.m1_pwm of pwm.m1_pwm to m4_pwm")
+
+
+@pytest.mark.parametrize("rest", [0.0, np.nan])
+def test_pwm_that_rests_while_the_commands_move_is_not_the_duty(folder, rest):
+    recording = motors_log(folder, {**ASKED, **{name: np.full(400, rest) for name in GIVEN}})
+    assert recording.samples.duty[:, 2] * 65535 == pytest.approx(ASKED["motor.m3"], abs=0.01)
+    assert "the motors' duty is not known" in recording.metadata["unclear"]["duty"]
+    assert "never change" in recording.metadata["notes"]["1"]
+
+
+@pytest.mark.parametrize("more", [("pwm.m5_pwm", "pwm.m6_pwm"), ("motor.m5", "motor.m6")])
+def test_six_motors_that_move_are_no_quadrotors_on_the_card_either(folder, more):
+    recording = motors_log(folder, {**GIVEN, **moving(more, 3)})
+    assert np.isnan(recording.samples.duty).all()
+    assert "6 motors move" in recording.metadata["unclear"]["duty"]
+
+
+def test_of_a_quaternion_that_rests_and_angles_that_move_the_angles_are_taken(folder):
+    angles = {f"stateEstimate.{name}": np.arange(400) / 40 for name in ("roll", "pitch", "yaw")}
+    rest = {f"stateEstimate.q{part}": np.full(400, float(part == "w")) for part in "wxyz"}
+    attitude = motors_log(folder, {**angles, **rest}).samples.attitude
+    assert np.degrees(attitude[200]) == pytest.approx([5, -5, 5], abs=1e-5)

@@ -49,7 +49,7 @@ def test_a_microsd_log_is_known_by_its_content(path):
 
 
 def test_a_column_map_is_for_files_of_other_programs(path, tmp_path):
-    path.write_bytes(b"\xbc\x02\x00\x00")
+    path.write_bytes(b"PK\x03\x04")
     with pytest.raises(BadInputError, match="takes no column map"):
         open_recording(path, column_map=tmp_path / "map.toml")
 

@@ -6,12 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from groundstation.cli.app import app
 from groundstation.errors import BadInputError
+from groundstation.recording.csv_file import write_table_csv
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recording_file import write_mcap
 from groundstation.recording.recover import recover
+from groundstation.recording.rows import Rows
 from support.foreign_logs import (
     write_betaflight,
     write_cfclient,
@@ -113,6 +117,10 @@ def test_pulses_that_never_rest_may_be_dshot_and_are_asked_for(flight, tmp_path)
     unclear = open_recording(tmp_path / "log.csv")
     assert np.abs(unclear.samples.duty - flight.duty).max() > 0.1
     assert "may be dshot or pwm-us" in inspect_recording(unclear)["verdict"]
+    write_table_csv(unclear, tmp_path / "table.csv")
+    again = open_recording(tmp_path / "table.csv")
+    assert again.samples.duty == pytest.approx(unclear.samples.duty)
+    assert "the motors' duty is not known" in inspect_recording(again)["verdict"]
 
 
 @pytest.mark.parametrize("pwm", [False, True])
@@ -147,14 +155,17 @@ def test_one_log_block_alone_is_read_for_what_it_has(flight, tmp_path):
     assert np.isnan(recording.samples.attitude).all()
     assert recording.metadata["vehicle"]["family"] == "unknown"
     (tmp_path / "other.csv").write_text("Timestamp,a,b\n0,1,2\n2,1,2\n")
-    with pytest.raises(BadInputError, match="convert --list-columns"):
-        open_recording(tmp_path / "other.csv")
+    verdict = inspect_recording(open_recording(tmp_path / "other.csv"))["verdict"]
+    assert verdict.startswith("bad: no channel has data: there are a, b")
 
 
 def test_a_swarms_bag_says_which_craft_there_are_and_takes_a_map_of_ones_own(flight, tmp_path):
+    flight = flight[:200]
     write_crazyswarm2(tmp_path / "bag", flight, robots=("cf1", "cf2"))
-    with pytest.raises(BadInputError, match=r"no known map fits .*/cf1/imu .*/cf2/imu .*--columns"):
-        open_recording(tmp_path / "bag")
+    several = "topics of several crafts or sensors: /cf1, /cf2; .*--only topic=/cf1"
+    for source in (None, "crazyswarm2"):
+        with pytest.raises(BadInputError, match=several):
+            open_recording(tmp_path / "bag", column_map=source)
     (tmp_path / "cf2.toml").write_text(
         """
         kind = "rosbag"
@@ -167,6 +178,47 @@ def test_a_swarms_bag_says_which_craft_there_are_and_takes_a_map_of_ones_own(fli
     found = open_recording(tmp_path / "bag", column_map=tmp_path / "cf2.toml").samples
     assert np.abs(found.gyro[:, 2] - flight.gyro[:, 2]).max() < 1e-4
     assert np.abs(found.duty[:, 0] - flight.duty[:, 0]).max() < 1e-5
+
+
+def test_a_topic_of_a_ulog_without_its_clock_is_left_out(flight, tmp_path):
+    write_ulog(tmp_path / "log.ulg", flight[:200])
+    whole = (tmp_path / "log.ulg").read_bytes()
+    clock = b"battery_status:uint64_t timestamp"
+    assert clock in whole
+    (tmp_path / "log.ulg").write_bytes(whole.replace(clock, clock[:-1] + b"q"))
+    samples = open_recording(tmp_path / "log.ulg").samples
+    assert np.isfinite(samples.gyro).all()
+    assert np.isnan(samples.battery_v).all()
+
+
+def test_a_damaged_number_of_a_ulog_that_numpy_warns_of_spoils_no_other(flight, tmp_path):
+    samples = flight[:200]
+    samples.duty[100, 0] = 0.4321
+    write_ulog(tmp_path / "log.ulg", samples)
+    whole = (tmp_path / "log.ulg").read_bytes()
+    number = np.float32(0.4321).tobytes()
+    assert whole.count(number) == 1
+    (tmp_path / "log.ulg").write_bytes(whole.replace(number, b"\x01\x00\xa0\x7f"))
+    duty = open_recording(tmp_path / "log.ulg").samples.duty
+    others = np.arange(200) != 100
+    assert duty[others] == pytest.approx(samples.duty[others], abs=1e-5)
+    assert duty[100, 1:] == pytest.approx(samples.duty[100, 1:], abs=1e-5)
+
+
+def test_one_craft_of_a_swarms_bag_becomes_a_file_by_the_command_that_is_named(flight, tmp_path):
+    flight = flight[:200]
+    write_crazyswarm2(tmp_path / "bag", flight, robots=("cf1", "cf2"))
+    made = tmp_path / "one.mcap"
+    words = ["convert", str(tmp_path / "bag"), str(made), "--only"]
+    for only in ("topic=/cf3", "uri=/cf1"):
+        assert CliRunner().invoke(app, [*words, only]).exit_code != 0
+    done = CliRunner().invoke(app, [*words, "topic=/cf2"])
+    assert done.exit_code == 0, done.output
+    found = open_recording(made).samples
+    assert np.abs(found.gyro - flight.gyro).max() < 1e-4
+    assert np.abs(found.duty - flight.duty).max() < 1e-5
+    (file,) = (tmp_path / "bag").glob("*.db3")
+    assert len(open_recording(file, rows=Rows(("topic", "/cf1"))).samples) == len(flight)
 
 
 def test_what_acts_is_the_last_command_known_at_a_row(flight, tmp_path):

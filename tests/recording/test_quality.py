@@ -63,7 +63,7 @@ def test_the_real_microsd_log_is_measured_by_its_own_period():
     assert report["gap_count"] == 3
     assert {"battery", "roll", "pitch", "yaw"} <= set(report["missing"])
     assert report["tables"] == {"fixedFrequency": 47182}
-    assert report["verdict"] == "good: 46.7 s at 1010 Hz, 5 samples lost (0.011 %)"
+    assert report["verdict"].startswith("usable, with faults: the motors' duty is not known")
 
 
 def test_the_same_samples_as_a_table_are_judged_alike(tmp_path):

@@ -65,7 +65,7 @@ def test_each_is_a_table(results):
     for one in results.values():
         assert len(one.to_frame()) > 0
     table = results["Identified(motor of crazyflie1: a0 0.86"].to_frame()
-    found = dict(zip(table["name"].to_pylist(), table["value"].to_pylist(), strict=True))
+    found = dict(zip(table["name"].tolist(), table["value"].tolist(), strict=True))
     np.testing.assert_allclose(found["a0"], 0.862446, rtol=0.01)
 
 

@@ -30,7 +30,7 @@ def test_the_commands_follow_the_telemetry_to_another_craft(tmp_path):
             await eventually(
                 lambda: commander.link.state is CommandState.CONNECTED, "connected again"
             )
-            assert await commander.stop() == STOPPED
+            assert await commander.operator.stop() == STOPPED
             assert overview.status(station)["command"]["out_of_reach"] == ""
             await station.craft.connect_command(one.uri)
             (reason,) = [text for text in overview.problems(station) if "stopped from here" in text]

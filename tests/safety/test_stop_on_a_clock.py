@@ -6,78 +6,20 @@ import math
 import pytest
 
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
-from groundstation.links.base import LinkState
 from groundstation.links.command import LIFE_S
 from groundstation.service.arming import CHECKS_S, STATE_S
-from groundstation.service.commander import WATCH_S, Commander
-from groundstation.service.config import FailsafeConfig
+from groundstation.service.commander import WATCH_S
 from groundstation.service.motor_stop import NOT_TOLD, STILL_TURN, STOPPED
-from support.worlds import World
+from support.worlds import HOVER, Flying
 
-HOVER = 40000
 ROUNDING_S = 1e-6
 
 
-class Flying:
-    """A daemon's commander, two crafts, and the loop that they share."""
-
-    def __init__(self, kind):
-        self.world = World()
-        self.one, self.other = (self.world.craft(name, kind) for name in ("one:1", "other:2"))
-        self.told = []
-        self.commander = Commander(
-            self.one,
-            FailsafeConfig(),
-            note=lambda kind, text: self.told.append(text),
-            telemetry=lambda: (LinkState.STREAMING, ""),
-            motors=lambda link: link.motors(),
-            clock=self.world.time,
-        )
-        self.wait(0.2)  # they have said what state they are in
-
-    def run(self, work):
-        return self.world.run_until_complete(work)
-
-    def wait(self, seconds):
-        """As the daemon does: the loop turns, the failsafe looks."""
-
-        async def turning():
-            end_s = self.world.now_s + seconds
-            while self.world.now_s < end_s:
-                self.commander.turn(self.world.now_s)
-                self.commander.look(self.world.now_s)
-                await asyncio.sleep(WATCH_S)
-
-        self.run(turning())
-
-    def steer(self, token, seconds, thrust=HOVER):
-        end_s = self.world.now_s + seconds
-        while self.world.now_s < end_s:
-            self.commander.setpoint(token, 0.0, 0.0, 0.0, thrust, None, self.world.now_s)
-            self.wait(0.05)
-
-    def stopped(self):
-        """What an operator who presses Stop is told."""
-
-        async def stop():
-            asked = asyncio.ensure_future(self.commander.stop())
-            while not asked.done():
-                self.commander.look(self.world.now_s)
-                await asyncio.sleep(WATCH_S)
-            return asked.result()
-
-        return self.run(stop())
-
-
 @pytest.fixture
-def flying(request):
-    made = Flying(getattr(request, "param", "crazyflie21"))
+def flying(request, tmp_path):
+    made = Flying(getattr(request, "param", "crazyflie21"), tmp_path / "changed.json")
     yield made
     made.world.close()
-
-
-def lease(flying, client="a program"):
-    return flying.commander.acquire(client).token
 
 
 def thrusts(craft, since_s):
@@ -86,7 +28,7 @@ def thrusts(craft, since_s):
 
 
 def test_a_client_that_falls_silent_means_level_and_then_motors_off(flying):
-    token = lease(flying)
+    token = flying.lease()
     flying.commander.setpoint(token, 5.0, 5.0, 0.0, HOVER, None, flying.world.now_s)
     last_s = flying.world.now_s
     flying.wait(0.3)
@@ -108,7 +50,7 @@ def test_a_client_that_falls_silent_means_level_and_then_motors_off(flying):
 
 
 def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(flying):
-    token = lease(flying)
+    token = flying.lease()
 
     def sent(rate_hz):
         for _ in range(rate_hz * 2):
@@ -124,17 +66,17 @@ def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(flying):
 
 
 def test_a_lease_ends_by_the_clock_though_nobody_has_looked(flying):
-    token = lease(flying)
+    token = flying.lease()
     flying.world.pass_time(4.9)
     flying.commander.keep(token)
     flying.world.pass_time(5.1)
     with pytest.raises(NotAuthorisedError, match="silent for 5 s"):
         flying.commander.keep(token)
-    assert lease(flying, "another"), "an ended lease keeps another client out"
+    assert flying.lease("another"), "an ended lease keeps another client out"
 
 
 def test_a_setpoint_that_was_made_too_long_ago_is_refused(flying):
-    token = lease(flying)
+    token = flying.lease()
     with pytest.raises(LinkError, match="too old"):
         flying.commander.setpoint(token, 0, 0, 0, HOVER, None, flying.world.now_s - 0.6)
     flying.wait(0.2)
@@ -142,7 +84,7 @@ def test_a_setpoint_that_was_made_too_long_ago_is_refused(flying):
 
 
 def test_a_setpoint_grows_old_while_the_radio_takes_nothing(flying):
-    token = lease(flying)
+    token = flying.lease()
     flying.steer(token, 0.3, thrust=0)
     flying.one.stalls = True
     begun_s = flying.world.now_s
@@ -154,10 +96,26 @@ def test_a_setpoint_grows_old_while_the_radio_takes_nothing(flying):
     assert flying.one.outbox.expired == 1
 
 
+@pytest.mark.parametrize(("stalls_s", "is_sent"), [(0.1, True), (0.3, False)])
+def test_a_setpoint_s_age_counts_from_when_it_was_made_and_not_from_its_arrival(
+    flying, stalls_s, is_sent
+):
+    token = flying.lease()
+    flying.steer(token, 0.3, thrust=0)
+    flying.one.stalls = True
+    begun_s = flying.world.now_s
+    flying.commander.setpoint(token, 0, 0, 0, HOVER, None, begun_s - LIFE_S + 0.2)
+    flying.world.pass_time(stalls_s)
+    flying.one.stalls = False
+    flying.world.pass_time(0.05)
+    assert (thrusts(flying.one, begun_s) == [HOVER]) is is_sent
+    assert flying.one.outbox.expired == (not is_sent)
+
+
 @pytest.mark.parametrize("stood_s", [1.0, 4.0])
 def test_what_was_said_before_the_daemon_stood_still_turns_no_motor(flying, stood_s):
     """The client is dead, its setpoint waits in a socket, and its lease may still be in force."""
-    token = lease(flying)
+    token = flying.lease()
     flying.steer(token, 0.3, thrust=0)
     flying.world.pass_time(stood_s)
     for turned in (False, True):  # the loop that wakes may hear it before or after its own clock
@@ -180,9 +138,38 @@ def escalation(flying):
     return [text.partition(": ")[2] for text in flying.told if STILL_TURN in text]
 
 
+def test_zero_thrust_is_repeated_for_a_quarter_of_a_second_after_a_stop(flying):
+    """Where the firmware needs no more of it: a radio may lose some."""
+    flying.one.settles_s = 0.0
+    asked_s = flying.world.now_s
+    assert flying.stopped() == STOPPED
+    flying.wait(2.0)
+    sent_s = [one.handed_s - asked_s for one in flying.one.delivered
+              if one.kind == "setpoint" and one.handed_s >= asked_s]  # fmt: skip
+    assert len(sent_s) >= 4
+    assert max(sent_s) == pytest.approx(0.25, abs=WATCH_S + ROUNDING_S)
+
+
+def test_more_is_tried_half_a_second_after_each_try_and_not_before(flying):
+    flying.steer(flying.lease(), 0.5)
+    flying.one.held, flying.one.craft.emergency_stop = HOVER, lambda: None
+    tried_s, asked_s = [], flying.world.now_s
+    note = flying.told.append
+
+    class Told(list):
+        def append(self, text):
+            note(text)
+            if STILL_TURN in text:
+                tried_s.append(flying.world.now_s - asked_s)
+
+    flying.told = Told()
+    assert flying.stopped() == STILL_TURN
+    assert tried_s[:3] == pytest.approx([0.5, 1.0, 1.5], abs=2 * WATCH_S + ROUNDING_S)
+
+
 def test_motors_that_go_on_turning_are_stopped_by_the_firmware(flying):
     """Another program commands the craft, too; a brushed one that is disarmed arms itself again."""
-    flying.steer(lease(flying), 0.5)
+    flying.steer(flying.lease(), 0.5)
     flying.one.held = HOVER
     asked_s = flying.world.now_s
     assert flying.stopped() == STOPPED
@@ -194,8 +181,8 @@ def test_motors_that_go_on_turning_are_stopped_by_the_firmware(flying):
 
 @pytest.mark.parametrize("flying", ["brushless"], indirect=True)
 def test_motors_that_are_armed_by_request_are_disarmed_again_before_that(flying):
-    flying.run(flying.commander.arm(True))
-    flying.steer(lease(flying), 0.5)
+    flying.run(flying.commander.operator.arm(True))
+    flying.steer(flying.lease(), 0.5)
     flying.one.loses = 1
     assert flying.stopped() == STOPPED
     assert tried(flying.one) == [("arm", 1), ("arm", 0), ("arm", 0)]
@@ -204,7 +191,7 @@ def test_motors_that_are_armed_by_request_are_disarmed_again_before_that(flying)
 
 
 def test_what_is_tried_is_tried_again_and_stopped_is_not_said_before(flying):
-    flying.steer(lease(flying), 0.5)
+    flying.steer(flying.lease(), 0.5)
     flying.one.held, flying.one.craft.emergency_stop = HOVER, lambda: None
     assert flying.stopped() == STILL_TURN
     flying.wait(2.0)
@@ -213,13 +200,13 @@ def test_what_is_tried_is_tried_again_and_stopped_is_not_said_before(flying):
 
 
 def test_nothing_is_known_of_motors_without_telemetry(flying):
-    flying.steer(lease(flying), 0.5)
+    flying.steer(flying.lease(), 0.5)
     flying.one.deaf = True
     assert flying.stopped() == NOT_TOLD
 
 
 def test_motors_that_stood_before_a_stop_are_not_known_to_stand_after_it(flying):
-    flying.steer(lease(flying), 0.3, thrust=0)
+    flying.steer(flying.lease(), 0.3, thrust=0)
     assert flying.one.motors().duty == 0.0
     flying.one.deaf = True
     assert flying.stopped() == NOT_TOLD
@@ -227,11 +214,11 @@ def test_motors_that_stood_before_a_stop_are_not_known_to_stand_after_it(flying)
 
 
 def test_a_stop_keeps_the_craft_that_it_was_pressed_for(flying):
-    flying.steer(lease(flying), 0.5)
+    flying.steer(flying.lease(), 0.5)
     flying.one.held = HOVER
 
     async def press_and_connect():
-        asked = asyncio.ensure_future(flying.commander.stop())
+        asked = asyncio.ensure_future(flying.commander.operator.stop())
         await asyncio.sleep(0.15)
         with pytest.raises(TakenError, match="being stopped"):
             await flying.commander.replace(flying.other)
@@ -254,10 +241,10 @@ def test_a_stop_keeps_the_craft_that_it_was_pressed_for(flying):
 @pytest.mark.parametrize("after_s", [0.0, 0.05, 0.2, 0.4, 0.6])
 def test_a_stop_ends_a_request_to_arm(flying, after_s):
     async def arm_and_stop():
-        arming = asyncio.ensure_future(flying.commander.arm(True))
+        arming = asyncio.ensure_future(flying.commander.operator.arm(True))
         await asyncio.sleep(after_s)
         asked_s = flying.world.now_s
-        stopping = asyncio.ensure_future(flying.commander.stop())
+        stopping = asyncio.ensure_future(flying.commander.operator.stop())
         while not (stopping.done() and arming.done()) or flying.world.now_s < asked_s + 3.0:
             flying.commander.look(flying.world.now_s)
             await asyncio.sleep(WATCH_S)
@@ -276,7 +263,9 @@ def asked_while_the_radio_takes_nothing(flying, seconds, *after):
     """What an operator asks for and the radio has not taken; what then reached the craft."""
 
     async def ask():
-        asking = [asyncio.ensure_future(work) for work in (flying.commander.arm(True), *after)]
+        asking = [
+            asyncio.ensure_future(work) for work in (flying.commander.operator.arm(True), *after)
+        ]
         await asyncio.sleep(seconds)
         flying.one.stalls = False
         flying.commander.look(flying.world.now_s)
@@ -294,7 +283,7 @@ def test_a_request_to_arm_that_waits_for_the_radio_is_withdrawn_by_a_stop(
     flying, disarms, monkeypatch
 ):
     monkeypatch.setattr(type(flying.one), "disarms_in_flight", disarms)
-    stop = flying.commander.stop()
+    stop = flying.commander.operator.stop()
     assert asked_while_the_radio_takes_nothing(flying, 0.2, stop) == [0] * disarms
     assert not flying.one.turns
 
@@ -307,7 +296,7 @@ def test_a_request_to_arm_grows_old_while_the_radio_takes_nothing(flying):
 
 @pytest.mark.parametrize("flying", ["brushless"], indirect=True)
 def test_a_craft_that_has_not_said_yet_whether_it_is_armed_is_disarmed_by_a_stop(flying):
-    flying.run(flying.commander.arm(True))
+    flying.run(flying.commander.operator.arm(True))
     flying.one.lose()
     flying.one.connect()
     assert flying.stopped() == STOPPED
@@ -317,7 +306,7 @@ def test_a_craft_that_has_not_said_yet_whether_it_is_armed_is_disarmed_by_a_stop
 
 
 def test_no_thrust_and_no_arming_while_motors_are_being_stopped(flying):
-    token = lease(flying)
+    token = flying.lease()
     flying.steer(token, 0.5)
     flying.one.held = HOVER
 
@@ -327,7 +316,7 @@ def test_no_thrust_and_no_arming_while_motors_are_being_stopped(flying):
         with pytest.raises(TakenError, match="being stopped"):
             flying.commander.setpoint(token, 0, 0, 0, HOVER)
         with pytest.raises(TakenError, match="being stopped"):
-            await flying.commander.arm(True)
+            await flying.commander.operator.arm(True)
         while not asked.done():
             flying.commander.look(flying.world.now_s)
             await asyncio.sleep(WATCH_S)
@@ -336,7 +325,7 @@ def test_no_thrust_and_no_arming_while_motors_are_being_stopped(flying):
 
 
 def test_a_client_that_was_stopped_by_the_operator_is_told_so_and_how_its_motors_are(flying):
-    token = lease(flying)
+    token = flying.lease()
     flying.steer(token, 0.5)
     assert flying.stopped() == STOPPED
     with pytest.raises(NotAuthorisedError, match="the operator has stopped the motors"):

@@ -22,11 +22,13 @@ from groundstation.service.config import (
     LinkConfig,
     RecordingConfig,
 )
+from groundstation.service.lander import LANDED
 from support import RECORDINGS
+from support.crafts import run_flat
 from support.programs import free_port
 from support.stations import only_recording as recorded
 from support.stations import serve
-from support.waiting import until
+from support.waiting import in_real_time, until
 
 HOVER = 40000
 PATIENT = {"level_s": 1.0, "stop_s": 4.0}
@@ -210,7 +212,7 @@ def test_a_client_that_vanishes_means_level_and_then_motors_off(fly, path):
     assert not recording.samples.duty[-1].any()
 
 
-def test_a_client_that_vanishes_at_a_height_means_level_there_and_then_motors_off(fly, path):
+def test_a_client_that_vanishes_at_a_height_means_level_there_and_then_a_landing(fly, path):
     def conversation():
         pilot = Pilot(path, "doomed").__enter__()
         assert pilot.lease["holds_height"]
@@ -219,15 +221,15 @@ def test_a_client_that_vanishes_at_a_height_means_level_there_and_then_motors_of
             time.sleep(0.02)
         pilot.close()
         until(lambda: ask(path, "GET", "/status")["command"]["client"] is None, "the lease is over")
+        with pytest.raises(GroundStationError, match="being landed"), Pilot(path, "too soon"):
+            pass
+        assert pilot.land() == LANDED
+        pilot.close()
         with Pilot(path, "next") as following:
-
-            def motors():
-                return following.setpoint(0, 0, 0)["telemetry"]["motors"]
-
-            until(lambda: not any(motors()), "the motors stand")
+            assert following.setpoint(0, 0, 0)["telemetry"]["motors"] == [0.0] * 4
 
     today = {"craft": "crazyflie21", "program": "wait", "height_deck": True}
-    recording = fly(conversation, today, **PATIENT)
+    recording = fly(conversation, today, level_s=0.5, stop_s=1.5)
     entries = setpoints(recording)
     last = max(k for k, entry in enumerate(entries) if entry["client"] == "doomed")
     assert entries[last]["height_m"] == 0.4
@@ -236,7 +238,11 @@ def test_a_client_that_vanishes_at_a_height_means_level_there_and_then_motors_of
     heights = [entry.get("height_m") for entry in after]
     assert heights[0] == 0.4
     assert heights[-1] is None
+    asked = [height for height in heights if height is not None]
+    assert asked == sorted(asked, reverse=True), "it is asked to rise again"
+    assert asked[-1] < 0.2
     assert (recording.samples.duty > 0).any(axis=1).sum() > 100
+    assert recording.tables["state"].columns["stateEstimate.z"].max() > 0.3
 
 
 def test_a_daemon_that_ends_stops_the_motors_first(fly, path):
@@ -325,8 +331,16 @@ def test_a_lease_that_ends_ends_what_is_being_written(fly, path, stations):
     async def write_and_release(commander):
         token = commander.acquire("leaving").token
         values = {"pid_rate.roll_kp": 55.0, "pid_rate.pitch_kp": 56.0}
+        sent = asyncio.Event()
+        write = commander.link._write_parameter
+
+        async def slowly(name, value):
+            sent.set()
+            return await write(name, value)
+
+        commander.link._write_parameter = slowly
         writing = asyncio.create_task(commander.write_parameters(token, values))
-        await asyncio.sleep(0)
+        await sent.wait()
         commander.release(token)
         with pytest.raises(NotAuthorisedError, match=r"pid_rate\.pitch_kp and what comes after"):
             await writing
@@ -402,6 +416,61 @@ def test_parameters_are_written_all_or_none_and_read_back(fly, path):
     ]
     (known,) = [entry for entry in recording.commands if entry["kind"] == "parameters"]
     assert known["values"]["pid_rate.roll_kp"] == 70
+
+
+def test_stored_gains_survive_a_power_cycle_of_the_craft(fly, path, crafts):
+    name, stock = "pid_rate.roll_kp", 250.0
+    stand_in = {"craft": "crazyflie21", "plant": "reduced", "program": "wait", "recharge_s": 0.5}
+
+    def known(wanted):
+        def look():
+            return ask(path, "GET", "/status")["command"]["stored"] == wanted
+
+        until(look, f"{wanted} is what the status says is stored")
+
+    def conversation():
+        (craft,) = crafts
+        known({})
+        with Pilot(path, "tuner") as pilot:
+            assert pilot.stored()[name] == {"now": stock, "default": stock, "stored": None}
+            pilot.write({name: 55.5})
+            assert pilot.store()[name] == {"now": 55.5, "default": stock, "stored": 55.5}
+        run_flat(craft)
+        until(lambda: craft.boots == 2, "a charged cell is in")
+        assert craft.get_parameter(name) == 55.5
+        known({name: 55.5})
+        with Pilot(path, "tuner") as pilot:
+            assert pilot.clear_stored()[name] == {"now": 55.5, "default": stock, "stored": None}
+            pilot.setpoint(0.0, 0.0, 0.0, 0)
+            steer(pilot, 0.5)
+            with pytest.raises(GroundStationError, match="land first"):
+                pilot.store(name)
+            pilot.stop()
+        run_flat(craft)
+        until(lambda: craft.boots == 3, "a charged cell is in")
+        assert craft.get_parameter(name) == stock
+
+    with in_real_time():
+        try:
+            recording = fly(conversation, stand_in)
+        except GroundStationError as error:  # late telemetry says of no motor that it stands
+            raise AssertionError(str(error)) from error
+    said = [event["text"] for event in recording.events if event["kind"] == "stored"]
+    assert said == [
+        f"tuner has stored {name} 55.5 on the craft",
+        f"tuner has cleared the stored {name} on the craft",
+    ]
+
+
+def test_a_craft_whose_firmware_stores_nothing_says_so(fly, path):
+    def conversation():
+        assert not ask(path, "GET", "/status")["command"]["stores"]
+        with Pilot(path, "tuner") as pilot:
+            for work in (pilot.stored, pilot.store, pilot.clear_stored):
+                with pytest.raises(GroundStationError, match="stores no parameters"):
+                    work()
+
+    fly(conversation)
 
 
 def test_setpoints_that_come_too_fast_or_are_out_of_range_are_refused(fly, path, stations):

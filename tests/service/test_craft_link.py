@@ -108,7 +108,32 @@ def test_what_else_is_logged_is_a_table_of_the_recording_on_the_telemetrys_own_t
     assert table.columns["pm.vbat"].mean() == pytest.approx(
         recording.samples.battery_v.mean(), 0.01
     )
-    assert inspect_recording(recording)["tables"] == {"log": len(table.time_s)}
+    tables = inspect_recording(recording)["tables"]
+    assert set(tables) == {"log", "state"}
+    assert tables["log"] == len(table.time_s)
+
+
+def test_where_the_craft_is_is_recorded_on_the_telemetrys_own_time(tmp_path):
+    with served(craft="crazyflie21", flow_deck=True) as craft:
+        station = station_for(craft, tmp_path)
+
+        async def scenario() -> None:
+            await eventually(lambda: overview.place(station.commander.link) is not None)
+            await eventually(
+                lambda: station.statistics is not None and station.statistics.samples > 200
+            )
+
+        run(station, scenario)
+    recording = recorded(tmp_path)
+    table = recording.tables["state"]
+    names = [f"stateEstimate.{name}" for name in ("x", "y", "z", "vx", "vy", "vz")]
+    assert list(table.columns) == [
+        *names,
+        *(f"stabilizer.{name}" for name in ("roll", "pitch", "thrust")),
+    ]
+    assert np.median(np.diff(table.time_s)) == pytest.approx(0.04, abs=0.002)
+    assert abs(table.time_s[-1] - recording.samples.time_s[-1]) < 0.3
+    assert np.abs(table.columns["stateEstimate.z"]).max() < 0.1
 
 
 def test_the_same_connection_carries_commands(craft, tmp_path):
@@ -177,11 +202,11 @@ def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, 
     async def scenario() -> None:
         link = station.commander.link
         await eventually(lambda: link.state is CommandState.CONNECTED)
-        await station.commander.arm(True)
+        await station.commander.operator.arm(True)
         assert overview.status(station)["command"]["armed"] is True
         await eventually(lambda: link.supervisor.arms_itself)
         with pytest.raises(LinkError, match="has armed itself again, as a brushed one does"):
-            await station.commander.arm(False)
+            await station.commander.operator.arm(False)
 
     run(station, scenario)
     assert [one["kind"] for one in recorded(tmp_path).commands] == ["arm", "disarm"]
@@ -199,13 +224,13 @@ def test_nothing_is_claimed_of_arming_that_the_craft_does_not_say(tmp_path, monk
         async def scenario() -> None:
             await eventually(lambda: link.supervisor.bits is not None)
             assert armed() is False
-            await station.commander.arm(True)
+            await station.commander.operator.arm(True)
             await eventually(lambda: link.supervisor.armed)
             assert armed() is True
             await asyncio.sleep(STATE_S)
             craft.craft.arm(False)  # as it does where it is not flown soon
             await eventually(lambda: armed() is False)
-            await station.commander.arm(True)
+            await station.commander.operator.arm(True)
             craft.server._send = lambda packet, addr: None
             await eventually(lambda: link.state is not CommandState.CONNECTED)
             assert armed() is None
@@ -224,12 +249,12 @@ def test_firmware_in_software_that_repeats_a_request_to_arm_is_not_called_armed(
         async def scenario() -> None:
             await eventually(lambda: link.supervisor.bits is not None)
             with pytest.raises(LinkError, match="refuses to arm its motors"):
-                await station.commander.arm(True)
+                await station.commander.operator.arm(True)
             assert overview.status(station)["command"]["armed"] is False
             craft.craft.emergency_stop()
             await eventually(lambda: link.supervisor.trouble)
             with pytest.raises(LinkError, match="refuses to arm its motors: the craft has locked"):
-                await station.commander.arm(True)
+                await station.commander.operator.arm(True)
 
         run(station, scenario)
 

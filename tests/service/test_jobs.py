@@ -3,6 +3,7 @@
 import asyncio
 import json
 import shutil
+import signal
 
 import psutil
 import pytest
@@ -13,7 +14,7 @@ from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.jobs import Jobs
 from support import RECORDINGS
 from support.stations import serve
-from support.waiting import PATIENCE_S, until
+from support.waiting import PATIENCE_S, eventually, until
 
 FLIGHT = "stand_in_flight.mcap"
 ENDED = ("done", "failed", "cancelled")
@@ -225,3 +226,109 @@ def test_a_job_has_no_more_than_its_share_of_the_memory(talk):
 
     (limit,) = talk(conversation)
     assert limit == pytest.approx(0.5 * psutil.virtual_memory().total, rel=0.01)
+
+
+class Begun:
+    """What is begun in the place of a job's command: it sleeps until it is told to end."""
+
+    def __init__(self, monkeypatch, command=("sleep", "60")):
+        self.begin, self.command = asyncio.create_subprocess_exec, command
+        self.environments, self.processes = [], []
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", self)
+
+    async def __call__(self, *command, env, **options):
+        self.environments.append(env)
+        self.processes.append(await self.begin(*self.command, start_new_session=True))
+        return self.processes[-1]
+
+    async def until_running(self, count=1):
+        await eventually(lambda: len(self.processes) == count, "its process")
+
+
+def played(folder, scenario, **options):
+    """The jobs of a folder, one after the other, while ``scenario`` asks."""
+    (folder / FLIGHT).write_bytes(b"")
+
+    async def session():
+        jobs = Jobs(lambda: folder, lambda kind, text: None, **options)
+        running = asyncio.create_task(jobs.run())
+        try:
+            return await scenario(jobs)
+        finally:
+            await jobs.close()
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+
+    return asyncio.run(session())
+
+
+def test_a_stop_ends_learn_at_once_whether_it_flies_or_computes_or_waits(tmp_path, monkeypatch):
+    begun = Begun(monkeypatch)
+
+    async def scenario(jobs):
+        running, fit, waiting = (
+            jobs.add("learn", [], [], ""),
+            jobs.add("fit", [FLIGHT], [], ""),
+            jobs.add("learn", [], [], ""),
+        )
+        await begun.until_running()
+        assert jobs.end_flying() == ["learn", "learn"]
+        await eventually(lambda: begun.processes[0].returncode == -signal.SIGTERM, "its end")
+        await eventually(lambda: running.ended_ns > 0, "its entry")
+        assert (running.state, waiting.state) == ("cancelled", "cancelled")
+        assert waiting.text == "the operator has ended it"
+        await begun.until_running(2)
+        assert fit.state == "running"
+        assert jobs.end_flying() == []
+
+    played(tmp_path, scenario)
+
+
+def test_a_job_that_flies_is_given_the_time_to_land_its_craft(tmp_path, monkeypatch):
+    ready = tmp_path / "ready"
+    slow = f'trap "sleep 0.5; exit 7" TERM; touch {ready}; while :; do sleep 0.05; done'
+    begun = Begun(monkeypatch, ("sh", "-c", slow))
+    monkeypatch.setattr("groundstation.service.jobs.STOP_S", 0.2)
+
+    async def scenario(jobs):
+        learn, fit = jobs.add("learn", [], [], ""), jobs.add("fit", [FLIGHT], [], "")
+        await eventually(ready.exists, "the shell has set its trap")
+        ready.unlink()
+        await jobs.cancel(learn.id)
+        assert begun.processes[0].returncode == 7
+        await eventually(ready.exists, "the shell has set its trap")
+        await jobs.cancel(fit.id)
+        assert begun.processes[1].returncode == -signal.SIGKILL
+
+    played(tmp_path, scenario)
+
+
+def test_a_job_knows_how_often_motors_had_been_stopped_when_a_person_began_it(
+    tmp_path, monkeypatch
+):
+    begun, count = Begun(monkeypatch), [41]
+
+    async def scenario(jobs):
+        first = jobs.add("fit", [FLIGHT], [], "")
+        await begun.until_running()
+        jobs.add("learn", [], [], "")
+        count[0] = 42  # while it waits for its turn
+        await jobs.cancel(first.id)
+        await begun.until_running(2)
+
+    played(tmp_path, scenario, stops=lambda: count[0])
+    assert [one["GROUNDSTATION_STOPS"] for one in begun.environments] == ["41", "41"]
+
+
+def test_a_job_of_a_daemon_that_was_killed_stays_in_the_list(tmp_path, monkeypatch):
+    begun = Begun(monkeypatch)
+
+    async def scenario(jobs):
+        job = jobs.add("learn", [], [], "")
+        await begun.until_running()
+        (found,) = Jobs(lambda: tmp_path, lambda kind, text: None).entries()  # the next daemon's
+        assert (found.id, found.kind, found.state) == (job.id, "learn", "failed")
+        assert found.text == "the daemon was ended while this ran"
+        assert found.began_ns > 0
+
+    played(tmp_path, scenario)

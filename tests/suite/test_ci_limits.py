@@ -1,4 +1,4 @@
-"""CI fails for what no list allows: a skip, a slow test."""
+"""CI fails for what no list allows: a skip, a slow test, a second try."""
 
 import os
 import re
@@ -115,16 +115,37 @@ def test_a_file_that_skips_itself_fails_the_run(suite, tmp_path):
     assert "no library" in done.stdout
 
 
-def test_a_test_that_fails_is_run_again_and_named_and_one_that_is_broken_fails(suite, tmp_path):
+AGAIN = ("-p", "pytest_rerunfailures", "--reruns", "3", "--only-rerun", "HeldUpError")
+RACE = "tests/test_race.py::test_race"
+
+
+@pytest.fixture
+def race(suite, tmp_path):
+    """The small suite with a test that passes the second time, and one that never does."""
     (tmp_path / "tests" / "test_race.py").write_text(
         "RUNS = []\n"
         "def test_race():\n    RUNS.append(1)\n    assert len(RUNS) > 1, 'too early'\n"
         "def test_broken():\n    assert False\n"
     )
-    done = suite("-p", "pytest_rerunfailures", "tests/test_race.py::test_race")
+    return suite
+
+
+def test_a_listed_test_has_a_second_try_and_is_named_and_any_other_failure_fails_the_run(race):
+    assert race(*AGAIN, RACE).returncode == 1
+    listed = {"allowed_second_tries": "tests/test_race.py  # a browser in real time\n"}
+    done = race(*AGAIN, RACE, **listed)
     assert done.returncode == 0, done.stdout
-    assert "run again: tests/test_race.py::test_race: AssertionError: too early" in done.stdout
-    assert suite("-p", "pytest_rerunfailures", "tests/test_race.py").returncode == 1
+    assert f"run again: {RACE}: AssertionError: too early" in done.stdout
+    assert race(*AGAIN, "tests/test_race.py", **listed).returncode == 1
+    assert race(*AGAIN, RACE, ci="").returncode == 1  # at a desk a race shows at once
+
+
+@pytest.mark.parametrize("folder", ["safety", "service", "attack", "learn"])
+def test_no_list_gives_a_second_try_to_what_keeps_people_from_harm(suite, folder):
+    name = f"tests/{folder}/test_any.py::test_any"
+    done = suite("-k", "quick", allowed_second_tries=f"{name}  # it is slow\n")
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    assert f"{name} may have no second try" in done.stderr
 
 
 def test_nobody_but_ci_is_held_to_the_lists(suite):
@@ -147,7 +168,9 @@ def test_a_line_names_a_test_a_file_or_a_folder_and_nothing_that_only_begins_lik
         assert not named(test, [name]), name
 
 
-@pytest.mark.parametrize("name", ["allowed_skips", "heavy_tests", "long_tests"])
+@pytest.mark.parametrize(
+    "name", ["allowed_skips", "heavy_tests", "long_tests", "allowed_second_tries"]
+)
 def test_what_the_lists_name_is_there(name):
     for node_id in names(ROOT / "tests" / f"{name}.txt", reasons=name != "long_tests"):
         path, *within = node_id.partition("[")[0].split("::")

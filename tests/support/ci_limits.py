@@ -1,4 +1,5 @@
-"""What fails a run in CI beside a failing test: a skip, or a slow test, that no list names.
+"""What fails a run in CI beside a failing test: a skip, or a slow test, that no list names; and
+which failing test has a second try.
 
 Where ``CI=true``, the lists of ``tests/`` say what may be otherwise. A line is a file, a folder or
 a node id; ``#`` begins its reason.
@@ -6,9 +7,11 @@ a node id; ``#`` begins its reason.
 ``allowed_skips.txt``: may be skipped; a reason is due.
 ``heavy_tests.txt``: over the limit, and in the short suite all the same; a reason is due.
 ``long_tests.txt``: in the long suite, where no limit holds.
+``allowed_second_tries.txt``: is run once more where it fails, and named where it then passes; a
+reason is due. Nothing in ``ONE_TRY`` may stand there: a race in it must end the run.
 
-A test that fails there is run again, and named where it then passes: a race that is still to be
-found ends no run of an hour, and is not forgotten.
+Every other test that fails once fails the run, but for HeldUpError, which measured that the machine
+held a program up (``tests/support/waiting.py``).
 """
 
 import os
@@ -24,9 +27,8 @@ FAILS_S = 3 * LIMIT_S
 """From here on the run fails, below it is told only: the first test that needs something made once,
 a fit say, pays for those after it, and which test is the first depends on the workers."""
 PROPERTY = "processor_s"
-RUNS_AGAIN, MOST_AGAIN = 2, 8
-"""How often a test that failed is run again, and how often that may be done by each worker: what
-is broken fails in many tests."""
+ONE_TRY = ("tests/safety", "tests/service", "tests/attack", "tests/learn")
+"""Who may move a motor, what the daemon promises, and who gets in."""
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -34,8 +36,7 @@ def pytest_configure(config):
     if os.environ.get("CI") != "true":
         return
     config.pluginmanager.register(_Measure(), "ci-measure")
-    options = config.option  # of pytest-rerunfailures
-    options.only_rerun, options.reruns, options.max_suite_reruns = None, RUNS_AGAIN, MOST_AGAIN
+    config.pluginmanager.register(_SecondTries(config.rootpath / "tests"), "ci-second-tries")
     if not hasattr(config, "workerinput"):  # workers measure, who started them judges
         config.pluginmanager.register(_Judge(config.rootpath / "tests"), "ci-limits")
 
@@ -88,6 +89,20 @@ class _Measure:
             return (yield)
         finally:
             item.user_properties.append((PROPERTY, processor_s() - before_s))
+
+
+class _SecondTries:
+    def __init__(self, folder):
+        path = folder / "allowed_second_tries.txt"
+        self._listed = names(path)
+        for name in self._listed:
+            if named(name, ONE_TRY):
+                raise pytest.UsageError(f"{path}: {name} may have no second try")
+
+    def pytest_collection_modifyitems(self, items):
+        for item in items:
+            if named(item.nodeid, self._listed):  # the mark is pytest-rerunfailures'
+                item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=[]))
 
 
 class _Judge:

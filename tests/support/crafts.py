@@ -21,6 +21,8 @@ from support.programs import free_port
 from support.waiting import PATIENCE_S
 
 SERIAL_STEP_S = 0.002
+OFF_S = 6.0
+"""An empty cell is off by then, and a charged one soon in."""
 LOG_DATA = 0x52
 """Port 5, channel 2, the two link bits aside."""
 
@@ -89,6 +91,19 @@ def served(**settings: Any) -> Iterator[ServedCraft]:
         yield running
     finally:
         running.stop()
+
+
+def run_flat(craft: StandIn) -> None:
+    """Its cell is empty from now on: it is soon off, and on again with a charged one."""
+    craft._state[0]["charge"] = 0.0
+
+
+def switched_off_and_on(running: ServedCraft) -> None:
+    """Wait until its next power-on, which comes after a few seconds of the craft's time."""
+    boots = running.craft.boots
+    run_flat(running.craft)
+    running.skip_s = OFF_S
+    running.wait_for(lambda: running.craft.boots > boots)
 
 
 @contextlib.asynccontextmanager
@@ -162,6 +177,10 @@ class NarrowRadio:
     def uri(self) -> str:
         return f"udp://127.0.0.1:{self._near.getsockname()[1]}"
 
+    def reach(self, craft_port: int) -> None:
+        """From now on the craft on that port is the one that hears and is heard."""
+        self._craft = ("127.0.0.1", craft_port)
+
     def start(self) -> None:
         for thread in self._threads:
             thread.start()
@@ -186,10 +205,10 @@ class NarrowRadio:
         came, since, share, chance = 0, time.monotonic(), 1.0, random.Random(7)
         while not self._stopped.is_set():
             try:
-                data = self._far.recv(2048)
+                data, sender = self._far.recvfrom(2048)
             except TimeoutError:
                 continue
-            if self.ceases(data):
+            if sender != self._craft or self.ceases(data):
                 continue
             is_log = data[0] & 0xF3 == LOG_DATA
             if is_log:

@@ -91,7 +91,7 @@ def write_ulog(
 
     out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message("B", bytes(40))]
     out += [message("F", f"{name}:{fields}".encode()) for name, fields in kinds.items()]
-    for name, value in (parameters or {}).items():
+    for name, value in {"THR_MDL_FAC": 0, **(parameters or {})}.items():
         key = f"int32_t {name}".encode()
         out.append(message("P", struct.pack("<B", len(key)) + key + struct.pack("<i", value)))
     names = ["sensor_combined", "vehicle_attitude", "battery_status", motors]

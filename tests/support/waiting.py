@@ -50,7 +50,7 @@ def in_real_time(programs=lambda: [os.getpid(), *children()]):
 
     programs: their process ids; by default this one and those it started.
     """
-    with _Watch(programs) as watch:
+    with Watch(programs) as watch:
         try:
             yield
         except (AssertionError, subprocess.TimeoutExpired) as error:
@@ -87,8 +87,8 @@ def _listed(folder):
         return []
 
 
-class _Watch:
-    """Looks ten times a second, from a thread of its own."""
+class Watch:
+    """How long the machine holds programs up: looks ten times a second, in its own thread."""
 
     def __init__(self, programs):
         self._programs = programs

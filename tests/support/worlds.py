@@ -8,19 +8,35 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
 
+from firmware_sim import persistent
+from firmware_sim.contents import contents_of
 from firmware_sim.craft import StandIn
+from firmware_sim.craft_state import CraftState
 from firmware_sim.crtp import supervisor_bits
 from firmware_sim.settings import StandInSettings
+from groundstation.background import left_behind
 from groundstation.errors import LinkError
+from groundstation.links.base import LinkState
 from groundstation.links.command import LIFE_S, CommandLink, CommandState
 from groundstation.links.crazyflie import STATE_S
 from groundstation.links.outbox import Outbox
-from groundstation.links.supervisor import Supervisor
+from groundstation.links.parameter_storage import ParameterStorage
+from groundstation.links.supervisor import Place, Supervisor
+from groundstation.service.changes import Changes
+from groundstation.service.commander import WATCH_S, Commander
+from groundstation.service.config import FailsafeConfig
 from groundstation.service.motor_stop import Motors
 
+T = TypeVar("T")
+HOVER = 40000
+"""Thrust, about."""
+GAINS = ("pid_rate.roll_kp", "pid_rate.pitch_kp", "pid_rate.yaw_kp")
+"""The parameters that these crafts list."""
 STEP_S, SAYS_S = 0.05, 0.1
 """How finely time passes; how often the craft says what state it is in."""
 
@@ -28,35 +44,49 @@ STEP_S, SAYS_S = 0.05, 0.1
 @dataclass(frozen=True)
 class Delivered:
     """What reached a craft: thrust, or 1 and 0 for arm and disarm. handed_s: when it was handed to
-    its link. level: whether no angle was asked for."""
+    its link. level: whether no angle was asked for. height_m: in the place of thrust. hovers:
+    whether it is asked for a velocity, in the place of an attitude."""
 
     kind: str
     value: int
     at_s: float
     handed_s: float
     level: bool = True
+    height_m: float | None = None
+    hovers: bool = False
+
+    @property
+    def flies(self) -> bool:
+        return self.kind == "setpoint" and (self.value > 0 or self.height_m is not None)
 
 
 class CraftInHand(CommandLink):
-    """A craft and the link to it. stalls: the radio takes nothing. deaf: no telemetry comes.
-    held: the thrust that somebody else gives it, whoever stops it here. loses: so many of the next
-    requests are lost on their way."""
+    """A craft and the link to it. deck: of its settings, by which it knows its height. stalls: the
+    radio takes nothing. deaf: no telemetry comes. held: the thrust that somebody else gives it,
+    whoever stops it here. loses: so many of the next requests are lost on their way. number: the
+    craft's own. refuses: it confirms no parameter. asked: commands about stored ones, and whether
+    a rotor was driven then."""
 
     settles_s = 2.5
+    number = ""
+    refuses = False
 
-    def __init__(self, uri: str, world: World, craft: str) -> None:
+    def __init__(self, uri: str, world: World, craft: str, deck: str = "") -> None:
         super().__init__(uri)
         self.monotonic = lambda: world.now_s
-        self.world, self._kind = world, craft
+        self.world, self._kind, self._deck = world, craft, deck
         self.delivered: list[Delivered] = []
         self.stalls = self.deaf = False
         self.held = self.loses = 0
+        self.stored: dict[str, float] = {}
+        self.asked: list[tuple[int, bool]] = []
         self.switch_on()
 
     def switch_on(self) -> None:
-        """Again, too: what it was told before is forgotten."""
+        """Again, too: what it was told before is forgotten, but for what it has stored."""
         settings = {"plant": "reduced", "program": "wait", "resume_s": 1e6, "protocol": 12}
-        self.craft = StandIn(StandInSettings(craft=self._kind, **settings))
+        deck = {self._deck: True} if self._deck else {}
+        self.craft = StandIn(StandInSettings(craft=self._kind, **settings, **deck), self.stored)
         self.craft.advance(3.0)
         self._begun_s, self._said_s = self.world.now_s, self.world.now_s - SAYS_S
         self._heard: Motors | None = None
@@ -67,6 +97,10 @@ class CraftInHand(CommandLink):
         self.outbox = Outbox(self._unlock, clock=self.monotonic)
         self.armed, self.supervisor, self._asked_armed = None, Supervisor(), False
         self._asked_s = -STATE_S
+        self._listed = contents_of(self.craft).parameters
+        numbers = {name: (number, "<f") for number, (name, kind) in enumerate(self._listed)
+                   if kind & persistent.EXTENDED and name in GAINS}  # fmt: skip
+        self.storage = ParameterStorage(self.uri, numbers, self._asked) if numbers else None
         self.state = CommandState.CONNECTED
 
     def lose(self) -> None:
@@ -87,11 +121,29 @@ class CraftInHand(CommandLink):
         state = self.craft.state()
         if self.state is CommandState.CONNECTED and not self.deaf:
             self._heard, self._heard_s = Motors(0.0, max(state.motors) / 65535), to_s
+            self.supervisor = replace(self.supervisor, place=self._place(state))
             if to_s >= self._said_s + SAYS_S:
                 self._said_s = to_s
-                self.supervisor = Supervisor(supervisor_bits(state))
+                self.supervisor = replace(self.supervisor, bits=supervisor_bits(state))
                 if to_s >= self._asked_s + STATE_S:
                     self.armed = self.supervisor.armed
+
+    def _place(self, state: CraftState) -> Place:
+        roll, pitch, _ = (math.radians(angle) for angle in state.angles_deg)
+        tilt_deg = math.degrees(math.acos(math.cos(roll) * math.cos(pitch)))
+        return Place(*state.estimate_m, *state.estimate_m_s, tilt_deg, self.world.now_s)
+
+    @property
+    def craft_id(self) -> str:
+        return self.number if self.state is CommandState.CONNECTED else ""
+
+    @property
+    def holds_height(self) -> bool:
+        return bool(self._deck)
+
+    @property
+    def holds_place(self) -> bool:
+        return self._deck == "flow_deck"
 
     def motors(self) -> Motors | None:
         heard = self._heard
@@ -128,7 +180,9 @@ class CraftInHand(CommandLink):
         self.state = CommandState.CLOSED
 
     def parameters(self) -> dict[str, float]:
-        return {}
+        if self.state is not CommandState.CONNECTED:
+            return {}
+        return {name: self.craft.get_parameter(name) for name in GAINS}
 
     def _send_setpoint(
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int, until_s: float
@@ -142,8 +196,50 @@ class CraftInHand(CommandLink):
 
         self.superseded += self.outbox.put(send, until_s)
 
+    def _send_height(
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float, until_s: float
+    ) -> None:
+        def steer() -> None:
+            self.craft.command_height(roll_deg, -pitch_deg, -yaw_dps, height_m)
+
+        self._at_height(steer, height_m, until_s, level=roll_deg == pitch_deg == 0.0)
+
+    def _send_hover(
+        self, vx_m_s: float, vy_m_s: float, yaw_dps: float, height_m: float, until_s: float
+    ) -> None:
+        def steer() -> None:
+            self.craft.command_hover(vx_m_s, vy_m_s, -yaw_dps, height_m)
+
+        level = vx_m_s == vy_m_s == 0.0
+        self._at_height(steer, height_m, until_s, level=level, hovers=True)
+
+    def _at_height(
+        self, steer: Callable[[], None], height_m: float, until_s: float, **more: bool
+    ) -> None:
+        self._require()
+        handed_s = self.world.now_s
+
+        def send() -> None:
+            self._note("setpoint", 0, handed_s, height_m=height_m, **more)
+            steer()
+
+        self.superseded += self.outbox.put(send, until_s, unlocks=False)
+
     async def _write_parameter(self, name: str, value: float) -> float:
-        raise NotImplementedError
+        self._require()
+        await asyncio.sleep(STEP_S)  # its way there
+        if self.refuses:
+            raise LinkError(f"{self.uri}: parameter {name} was not confirmed")
+        self._require()
+        self.craft.set_parameter(name, value)
+        return self.craft.get_parameter(name)
+
+    async def _asked(self, request: bytes, patience_s: float) -> bytes | None:
+        self._require()
+        self.asked.append((request[0], self.turns))
+        await asyncio.sleep(STEP_S)
+        answer = None if self.refuses else persistent.answer(self.craft, self._listed, request)
+        return None if answer is None else answer[len(request) :]
 
     def _whole_range(self, name: str) -> None:
         return None
@@ -169,8 +265,8 @@ class CraftInHand(CommandLink):
 
         self.outbox.request(sent, until_s=handed_s + LIFE_S if arms else math.inf, arms=arms)
 
-    def _note(self, kind: str, value: int, handed_s: float, *, level: bool = True) -> None:
-        self.delivered.append(Delivered(kind, value, self.world.now_s, handed_s, level))
+    def _note(self, kind: str, value: int, handed_s: float, **more: Any) -> None:
+        self.delivered.append(Delivered(kind, value, self.world.now_s, handed_s, **more))
 
 
 class World(asyncio.SelectorEventLoop):
@@ -184,6 +280,8 @@ class World(asyncio.SelectorEventLoop):
 
         def pass_instead(timeout: float | None = None) -> list:
             found = select(0)
+            while not found and left_behind():  # on the disk, whose time is the machine's
+                found = select(0.01)
             if not found and timeout:
                 self.pass_time(timeout)
             return found
@@ -193,9 +291,27 @@ class World(asyncio.SelectorEventLoop):
     def time(self) -> float:
         return self.now_s
 
-    def craft(self, name: str, kind: str) -> CraftInHand:
-        self.crafts.append(CraftInHand(f"udp://{name}", self, kind))
+    def craft(self, name: str, kind: str, deck: str = "") -> CraftInHand:
+        self.crafts.append(CraftInHand(f"udp://{name}", self, kind, deck))
         return self.crafts[-1]
+
+    def commander(
+        self,
+        link: CraftInHand,
+        changes: Path,
+        note: Callable[[str, str], None],
+        motors: Callable[[CommandLink], Motors | None] = lambda link: link.motors(),
+    ) -> Commander:
+        """That of a daemon; changes: its file of what was written to crafts."""
+        return Commander(
+            link,
+            FailsafeConfig(),
+            note=note,
+            telemetry=lambda: (LinkState.STREAMING, ""),
+            changes=Changes(changes),
+            motors=motors,
+            clock=self.time,
+        )
 
     def pass_time(self, seconds: float) -> None:
         """It passes for the crafts and their radios, and nothing in the loop runs meanwhile."""
@@ -204,3 +320,61 @@ class World(asyncio.SelectorEventLoop):
             self.now_s = min(self.now_s + STEP_S, end_s)
             for craft in self.crafts:
                 craft.pass_time(self.now_s)
+
+
+class Flying:
+    """A daemon's commander, two crafts, and the loop that they share."""
+
+    def __init__(self, kind: str, changes: Path, deck: str = "") -> None:
+        self.world = World()
+        self.one = self.world.craft("one:1", kind, deck)
+        self.other = self.world.craft("other:2", kind, deck)
+        self.told: list[str] = []
+        self.begin(changes)
+        self.wait(0.2)  # they have said what state they are in
+
+    def begin(self, changes: Path) -> None:
+        """A daemon, also in the place of one that was killed."""
+        self.commander = self.world.commander(
+            self.one, changes, lambda kind, text: self.told.append(text)
+        )
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        return self.world.run_until_complete(work)
+
+    def wait(self, seconds: float) -> None:
+        """As the daemon does: the loop turns, the failsafe looks."""
+
+        async def turning() -> None:
+            end_s = self.world.now_s + seconds
+            while self.world.now_s < end_s:
+                self.commander.turn(self.world.now_s)
+                self.commander.look(self.world.now_s)
+                await asyncio.sleep(WATCH_S)
+
+        self.run(turning())
+
+    def lease(self, client: str = "a program") -> str:
+        return self.commander.acquire(client).token
+
+    def steer(self, token: str, seconds: float, thrust: int = HOVER, **more: float | None) -> None:
+        end_s = self.world.now_s + seconds
+        while self.world.now_s < end_s:
+            self.commander.setpoint(token, 0.0, 0.0, 0.0, thrust, made_s=self.world.now_s, **more)
+            self.wait(0.05)
+
+    def looked(self, work: Coroutine[Any, Any, T]) -> T:
+        """What is answered while the failsafe looks."""
+
+        async def asked() -> T:
+            asking = asyncio.ensure_future(work)
+            while not asking.done():
+                self.commander.look(self.world.now_s)
+                await asyncio.sleep(WATCH_S)
+            return asking.result()
+
+        return self.run(asked())
+
+    def stopped(self) -> str:
+        """What an operator who presses Stop is told."""
+        return self.looked(self.commander.operator.stop())

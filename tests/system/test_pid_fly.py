@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from groundstation.cli.commanding import kept
-from groundstation.cli.left_changed import also_written, changes_left, note_changes
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot, ask
 from support import RECORDINGS
@@ -100,8 +99,8 @@ def craft():
 
 @pytest.fixture
 def deck():
-    """Whether the craft measures its height."""
-    return False
+    """What the craft measures height and speed with, as its setting says."""
+    return ""
 
 
 @pytest.fixture
@@ -113,7 +112,7 @@ def station(tmp_path, craft, deck):
 @pytest.fixture(scope="module")
 def resting(tmp_path_factory):
     """One for all that refuse to fly."""
-    with station_in(tmp_path_factory.mktemp("resting"), "crazyflie1", deck=False) as found:
+    with station_in(tmp_path_factory.mktemp("resting"), "crazyflie1", deck="") as found:
         yield found
 
 
@@ -124,7 +123,7 @@ def station_in(folder, craft, deck):
         f'command = "udp://127.0.0.1:{free_port()}"\n'
         '[link]\nname = "stand-in"\n'
         "[stand_in]\n"
-        f'craft = "{craft}"\nprogram = "wait"\nseed = 3\nheight_deck = {str(deck).lower()}\n'
+        f'craft = "{craft}"\nprogram = "wait"\nseed = 3\n{deck}\n'
         f'[recording]\nfolder = "{folder / "sessions"}"\nlow_space_mb = 0\n'
     )
     with Daemon(folder, "--config", settings) as daemon:
@@ -163,7 +162,7 @@ def test_gains_are_flown_measured_beside_the_prediction_and_put_back(station, tm
     assert "nothing was left changed" in again.stdout
 
 
-def test_a_killed_flight_ends_with_motors_off_and_the_next_tells_what_it_left(station):
+def test_a_killed_flight_ends_with_motors_off_and_the_daemon_puts_the_gains_back(station):
     with station.flying("--gains", GAINS, *SHORT):
         pass
     until(
@@ -184,12 +183,8 @@ def test_a_killed_flight_ends_with_motors_off_and_the_next_tells_what_it_left(st
     last_ns = int(recording.samples.host_time_ns[np.flatnonzero(turning)[-1]])
     assert last_ns > sent[last]["time_ns"]
     assert not turning[-1]
-    assert station.gain() == pytest.approx(DESIGNED, rel=1e-6)
-    undone = station.fly("--undo")
-    assert undone.returncode == 0, undone.stderr
-    assert f"{GAIN}: was 70, is 2.847" in undone.stderr
-    assert station.gain() == STOCK
-    assert station.fly("--undo").stdout == "nothing was left changed\n"
+    until(lambda: station.gain() == STOCK, "the daemon has put the former gain back")
+    assert station.fly("--undo").stdout.startswith(f"the former values are back: {GAIN}")
 
 
 def test_sigterm_stops_the_motors_and_puts_the_gains_back(station):
@@ -207,8 +202,8 @@ def test_a_flight_that_the_operator_stops_says_so_and_puts_the_gains_back(statio
         _, stderr = flight.communicate(timeout=60)
     assert flight.returncode == 1
     assert "Stopped by the operator, motors off" in stderr
-    assert "the former gains are back" in stderr
-    assert station.gain() == STOCK
+    assert "the daemon puts the former parameters back" in stderr
+    until(lambda: station.gain() == STOCK, "the former gain is back")
 
 
 def test_an_impatient_ctrl_c_does_not_keep_the_motors_from_being_stopped(station):
@@ -219,24 +214,10 @@ def test_an_impatient_ctrl_c_does_not_keep_the_motors_from_being_stopped(station
         _, stderr = flight.communicate(timeout=60)
     assert flight.returncode == 1, stderr
     assert "flight aborted: Ctrl-C; motors are off" in stderr
-    if "the motors are being stopped; Ctrl-C again" in stderr:
-        assert station.gain() == STOCK
-    else:  # it came later, while the gains were put back
-        assert "pid fly --undo" in stderr
+    assert station.gain() == STOCK
 
 
-def test_gains_that_cannot_fly_abort_and_what_an_interrupted_flight_found_stays_the_former_value(
-    station, tmp_path, monkeypatch
-):
-    """Or a second flight would take the left-over gains for the craft's own."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    uri = ask(station.daemon.socket, "GET", "/status")["command"]["uri"]
-    former = {"pid_attitude.roll_kp": 3.5, "pid_rate.yaw_kp": 50.0}
-    written = {"pid_attitude.roll_kp": 5.0, "pid_rate.yaw_kp": 60.0}
-    note_changes("radio://0/80/250K", {GAIN: 1.0}, {GAIN: [2.0]})
-    note_changes(uri, former, also_written({}, written))
-    with Pilot(station.daemon.socket, "an interrupted flight") as pilot:
-        pilot.write(written)
+def test_gains_that_cannot_fly_abort_and_are_put_back(station, tmp_path):
     gains = tmp_path / "wild.toml"
     gains.write_text('"pid_attitude.roll_kp" = 30.0\n"pid_attitude.pitch_kp" = 30.0\n')
     with in_real_time():
@@ -245,43 +226,15 @@ def test_gains_that_cannot_fly_abort_and_what_an_interrupted_flight_found_stays_
         assert "tilt of" in flight.stderr or "rate of" in flight.stderr
     values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
     assert values["pid_attitude.roll_kp"] == 3.5
-    left = changes_left(uri)
-    assert left is not None
-    assert left["saved"] == {"pid_rate.yaw_kp": 50.0}
-    assert station.fly("--undo").returncode == 0
-    assert changes_left(uri) is None
-    refused = require_failure(station.fly("--undo"))
-    assert "the changes were made on radio://0/80/250K" in refused
 
 
-def test_what_was_set_anew_since_an_interrupted_flight_is_not_put_back(
-    station, tmp_path, monkeypatch
-):
-    """By somebody, or by the craft's restart."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    uri = ask(station.daemon.socket, "GET", "/status")["command"]["uri"]
-    # the second flight on the yaw gain could not write it any more
-    written = {GAIN: [2.0], "pid_rate.yaw_kp": [60.0, 65.0]}
-    note_changes(uri, {GAIN: 1.0, "pid_rate.yaw_kp": 55.0}, written)
-    with Pilot(station.daemon.socket, "an interrupted flight") as pilot:
-        pilot.write({"pid_rate.yaw_kp": 60.0})
-    undone = station.fly("--undo")
-    assert undone.stdout == "the former values are back: pid_rate.yaw_kp\n"
-    assert GAIN not in undone.stderr
-    values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
-    assert (values[GAIN], values["pid_rate.yaw_kp"]) == (STOCK, 55.0)
-    note_changes(uri, {GAIN: 1.0}, {GAIN: [2.0]})
-    assert "restarted or set anew since" in station.fly("--undo").stdout
-    assert (station.gain(), changes_left(uri)) == (STOCK, None)
-
-
-def test_a_fault_in_flight_ends_it_and_puts_the_gains_back(station):
+def test_a_flight_that_is_no_more_recorded_lands_and_puts_the_gains_back(station):
     long = ("--axis", "roll", "--repeat", "20")  # a busy machine may begin to ask late
     with station.flying("--gains", GAINS, *long, mark="pid fly begins") as flight:
         ask(station.daemon.socket, "POST", "/record/stop")  # nowhere to put the next mark
         _, stderr = flight.communicate(timeout=60)
     assert flight.returncode == 1
-    assert "flight aborted: nothing is being recorded" in stderr
+    assert "flight aborted: recording: nothing is being recorded" in stderr
     assert "motors are off" in stderr
     assert station.gain() == STOCK
     assert "nothing was left changed" in station.fly("--undo").stdout
@@ -333,25 +286,6 @@ def test_todays_craft_flies_its_own_gains_and_is_never_given_those_of_2014(stati
     assert station.gain() == before
 
 
-@pytest.mark.parametrize(("craft", "deck"), [("crazyflie21", True)])
-def test_a_craft_with_a_deck_holds_its_height_by_itself_in_the_programme(station):
-    flight = station.flown("--thrust", "height:0.6", "--json", *SHORT)
-    assert "the craft holds 0.6 m by itself" in flight.stderr
-    report = json.loads(flight.stdout)
-    assert not report["aborted"]
-    assert report["motors"] == "motors are off"
-    assert report["axes"]["roll"]["measured"]["overshoot_pct"] < 20.0
-    recording = open_recording(Path(report["recording"]))
-    sent = [e for e in recording.commands if e["kind"] == "setpoint"]
-    assert {e["thrust"] for e in sent} == {0}
-    heights = [e["height_m"] for e in sent if "height_m" in e]
-    # from where it stands, which its filter knows to a millimetre or two
-    assert abs(heights[0]) < 0.01
-    assert max(heights) - heights[0] == pytest.approx(0.6)
-    assert heights[-1] == 0.0
-    assert "height_m" not in sent[-1]
-
-
 @pytest.mark.parametrize("craft", ["brushless"])
 def test_a_craft_that_is_not_armed_is_told_and_not_measured_on_the_ground(station):
     def disarmed():
@@ -385,6 +319,13 @@ def test_the_motors_are_armed_disarmed_and_stopped_from_the_command_line(station
     events = ask(station.daemon.socket, "GET", "/events")
     kinds = [event["kind"] for event in events]
     assert kinds.index("disarmed") < kinds.index("armed") < kinds.index("stop")
+
+
+def test_a_craft_that_stores_nothing_says_so_before_it_flies(resting):
+    line = require_failure(resting.fly("--store", *SHORT))
+    assert "this craft's firmware stores no parameters" in line
+    assert "nothing was flown" in line
+    assert "nothing was left changed" in resting.fly("--undo").stdout
 
 
 def test_only_one_may_command(resting):

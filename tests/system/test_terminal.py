@@ -104,6 +104,7 @@ def test_the_page_is_opened_where_somebody_sees_it_and_never_in_ci(tmp_path, ci)
     with Terminal(tmp_path, *options, environment=seen) as terminal:
         if ci:
             until(lambda: terminal.shows("receiving"), "receiving")
+            assert terminal.shows("/?token=")
         else:
             until(opened.exists, "the browser")
             address = opened.read_text().strip()

@@ -33,21 +33,22 @@ class CorrelationTest:
 
 
 def whiteness_test(residual: ArrayLike) -> CorrelationTest:
-    """Autocorrelation of residuals (n,) at 1..``LAGS`` rows."""
+    """Autocorrelation of residuals (n,) at 1..``LAGS`` rows, of few rows at fewer."""
     from scipy.stats import binom
 
     e = _centred(residual)
-    values = np.array([e[k:] @ e[:-k] for k in range(1, LAGS + 1)]) / (e @ e)
+    most = _lags(LAGS, len(e))
+    values = np.array([e[k:] @ e[:-k] for k in range(1, most + 1)]) / (e @ e)
     bound = _quantile() / np.sqrt(len(e))
     outside = int((np.abs(values) > bound).sum())
-    passes = bool(outside <= binom.ppf(0.99, LAGS, 0.01))
-    return CorrelationTest(np.arange(1, LAGS + 1), values, bound, passes)
+    passes = bool(outside <= binom.ppf(0.99, most, 0.01))
+    return CorrelationTest(np.arange(1, most + 1), values, bound, passes)
 
 
 def cross_correlation_test(
     residual: ArrayLike, inputs: ArrayLike, lags: int = LAGS, fitted_rows: int | None = None
 ) -> CorrelationTest:
-    """Correlation of residuals with the input 0..lags rows before them.
+    """Correlation of residuals with the input 0..lags rows before them, of few rows fewer.
 
     In closed loop later inputs do follow from residuals, through the controller: only
     non-negative lags speak about the model. The bound allows for colour in both signals. So does
@@ -58,6 +59,7 @@ def cross_correlation_test(
     e, u = _centred(residual), _centred(inputs)
     if e.shape != u.shape:
         raise ValueError(f"residual {e.shape} and inputs {u.shape} differ in length")
+    lags = _lags(lags, len(e))
     scale = np.sqrt((e @ e) * (u @ u))
     values = np.array([e[k:] @ u[: len(u) - k] for k in range(lags + 1)]) / scale
     span = min(len(e) - 1, 200)
@@ -87,6 +89,11 @@ def _largest_by_chance(auto_e: Array, auto_u: Array, lags: int) -> float:
     spread = vectors * np.sqrt(np.maximum(weights, 0.0))
     spread /= np.maximum(np.linalg.norm(spread, axis=1, keepdims=True), 1e-12)
     return float(np.quantile(np.abs(_draws(lags + 1) @ spread.T).max(axis=1), 0.99))
+
+
+def _lags(wanted: int, rows: int) -> int:
+    """As many as so few rows tell something of: a quarter of them (Box and Jenkins 1970)."""
+    return max(1, min(wanted, rows // 4))
 
 
 @lru_cache(maxsize=4)

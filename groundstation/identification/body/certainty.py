@@ -54,6 +54,9 @@ TELLS = 0.2
 CONTROL_HZ, SLOW = 500.0, 1.5
 """At which the firmware of 2014 and today's set the motors, and from how many settings a row on a
 recorded one is not what was flown."""
+ALTERNATES = 1.0
+"""Standard error over the value of a c2 whose rows fold: what alternates about yaw from setting to
+setting is as large as what lasts (flights of the software craft: 0.7 to 1 times)."""
 HALF_WAY, MEANS = 0.05, 0.2
 """Share of settings that lie so near half-way between two from which they are means: of those
 joined from other rates a tenth does."""
@@ -173,6 +176,19 @@ def settings_a_row(run: Run) -> float:
     return settings if settings >= SLOW else 1.0
 
 
+def folds(run: Run) -> bool:
+    """Whether what alternates from setting to setting looks like a lasting command: rows hold every
+    second setting, every fourth or so on, always of the same sense.
+
+    The alternation, half of ``CONTROL_HZ``, is sampled down to less than the lowest frequency that
+    tells c2 (``DRAG_HZ``). Nothing in such rows says how large it is.
+    """
+    if settings_a_row(run) < 0.99 * CONTROL_HZ * run.period_s:
+        return False  # all settings, or means of two: what alternates is in neither
+    alternates, rows_hz = 0.5 * CONTROL_HZ, 1.0 / run.period_s
+    return abs(alternates - round(alternates / rows_hz) * rows_hz) < DRAG_HZ[0]
+
+
 def between_rows(setup: Setup) -> dict[str, float]:
     """Relative standard errors of the constants from settings of the motors that no row shows.
 
@@ -180,7 +196,7 @@ def between_rows(setup: Setup) -> dict[str, float]:
     small difference of what it makes of them, so one setting of several, always the same of each
     turn, is not a sample of their mean: angles seem to come earlier or later than setpoints by up
     to what lies between rows. The share of the torque that this is: the phase it makes at the
-    frequency at which the craft turns to and fro.
+    frequency at which the craft turns to and fro. About yaw the setting alternates (``folds``).
     """
     flights = setup.problem.flights
     period, settings = flights[0].period_s, settings_a_row(flights[0].run)
@@ -195,7 +211,8 @@ def between_rows(setup: Setup) -> dict[str, float]:
         turned += (((means[width:] - means[:-width]) / (width * period)) ** 2).sum(axis=0)
         rate += (means**2).sum(axis=0)
     phase = (settings - 1.0) / CONTROL_HZ * np.sqrt(turned / rate)
-    return {"c0": float(phase[0]), "c1": float(phase[1])}
+    yaw = {"c2": ALTERNATES} if folds(flights[0].run) else {}
+    return {"c0": float(phase[0]), "c1": float(phase[1]), **yaw}
 
 
 def _by_blocks(setup: Setup, free: FreeFit, plain: Array) -> Array:

@@ -36,6 +36,7 @@ from groundstation.identification.body.judgement import (
     require_told,
     require_usable,
     slow_rows,
+    unidentified,
     untold,
     unused_speeds,
     warnings_of,
@@ -93,7 +94,8 @@ class BodyFit:
     estimates: c0, c1, c2, thrust_per_mass and one ``effect.parameter`` for each effect.
     nuisances: what was fitted along and is not in the model, by key, with standard errors.
     setup, free: predict with the fit. pace: by which a0, a1, a2 were multiplied, and its relative
-    standard error. shown: effects that the data clearly show and that are left out.
+    standard error. shown: effects that are clearly there and left out. crossed: axes that another's
+    torque turns.
     """
 
     body: BodyConstants
@@ -106,6 +108,7 @@ class BodyFit:
     not_identified: Mapping[str, str]
     shown: tuple[str, ...] = ()
     pace: tuple[float, float] = (1.0, 0.0)
+    crossed: tuple[str, ...] = ()
 
     @property
     def point(self) -> Point:
@@ -330,7 +333,8 @@ def _outcome(
     covariance = covariance[np.ix_(reported, reported)] * np.outer(scale, scale)
     rows = sum(f.last - f.first for f in setup.problem.flights)
     estimates = Estimates(names, found, covariance, rows - size)
-    c2, reasons = point["c2"], untold(estimates, moves, setup.problem.flights)
+    c2, flights, crossed = point["c2"], setup.problem.flights, cross_talk(setup, free)
+    reasons = untold(estimates, moves, missed, flights)
     if "c2" in reasons:
         c2 = setup.problem.frame.vehicle.body_constants[2]
     return BodyFit(
@@ -341,18 +345,16 @@ def _outcome(
         setup,
         replace(free, point={**point, "thrust_per_mass": thrust}),
         (
-            *(
-                f"{key} is not identified, because {reason}; the model has the profile's"
-                for key, reason in reasons.items()
-            ),
-            *unused_speeds(setup.problem.flights),
-            *given_way(whole, point, setup.problem.flights),
+            *unidentified(reasons),
+            *unused_speeds(flights),
+            *given_way(whole, point, flights),
             *warnings_of(estimates, moves, missed),
-            *slow_rows(setup.problem.flights[0].run, missed),
-            *cross_talk(setup, free),
+            *slow_rows(flights[0].run, missed),
+            *(line for lines in crossed.values() for line in lines),
         ),
         reasons,
         hints(setup, free, nuisances),
+        crossed=tuple(crossed),
     )
 
 
@@ -373,13 +375,11 @@ def _by_motor(setup: Setup, free: FreeFit) -> Array:
     for s, power in zip(linear.spectra, free.powers, strict=True):
         scaled = s.columns * (s.weight / np.tile(power, 2))
         normal[np.ix_(s.place, s.place)] += scaled @ s.columns.T
-    slopes = -inverse(normal[:size, :size]) @ normal[:size, size:]
-    thrust = []
+    slopes, now, thrust = -inverse(normal[:size, :size]) @ normal[:size, size:], free.point, []
     for key in MOTOR_KEYS:
-        step = BASE_STEPS[key] * free.point[key]
-        moved = {**free.point, key: free.point[key] + step}
-        change = fit_thrust(setup, moved)[0] - fit_thrust(setup, free.point)[0]
-        thrust.append(change / step if step else 0.0)
+        step = BASE_STEPS[key] * now[key]
+        moved = fit_thrust(setup, {**now, key: now[key] + step})[0]
+        thrust.append((moved - fit_thrust(setup, now)[0]) / step if step else 0.0)
     return np.vstack([slopes, thrust])
 
 
@@ -395,5 +395,5 @@ def _reported(setup: Setup, point: Point) -> tuple[tuple[str, ...], Array, Array
             found.append(values[one.parameter.name])
             falls = one.parameter.unknown is not None
             scale.append(-slopes[one.parameter.name] if falls else slopes[one.parameter.name])
-    thrust = "thrust_per_mass"
-    return (*names, thrust), np.array([*found, point[thrust]]), np.array([*scale, 1.0])
+    names.append("thrust_per_mass")
+    return tuple(names), np.array([*found, point[names[-1]]]), np.array([*scale, 1.0])

@@ -35,6 +35,7 @@ WELL_KNOWN, UNKNOWN = 0.05, 0.5
 """Standard errors over the value from which a constant is worth a warning, or a refusal."""
 MOVES = 0.1
 """Share of a constant from which its moving with the band is worth a word."""
+EVERY_SETTING = "500 rows a second, or rotor speeds"
 ALIKE = 0.97
 """Correlation beyond which two estimates are told only together."""
 
@@ -65,11 +66,11 @@ def slow_rows(run: Run, shares: Mapping[str, float]) -> list[str]:
     """
     if not shares:
         return []
+    share = max(size for name, size in shares.items() if name in GAINS)
     return [
         f"{1 / run.period_s:.0f} rows a second hold one in {settings_a_row(run):.2g} of the"
-        f" motors' settings: c0 and c1 are uncertain by {100 * max(shares.values()):.0f} % for it"
-        " where the motor was fitted (--model), by more where it was not, c2 by more than its"
-        " error says; record 500 a second, or rotor speeds"
+        f" motors' settings: c0 and c1 are uncertain by {100 * share:.0f} % for it where the motor"
+        f" was fitted (--model), by more where it was not; record {EVERY_SETTING}"
     ]
 
 
@@ -107,9 +108,12 @@ def require_told(setup: Setup, point: Point, variances: Array) -> None:
 
 
 def untold(
-    estimates: Estimates, moves: Mapping[str, float], flights: Sequence[Flight]
+    estimates: Estimates,
+    moves: Mapping[str, float],
+    missed: Mapping[str, float],
+    flights: Sequence[Flight],
 ) -> dict[str, str]:
-    """c2 where it is not identified, with the reason.
+    """c2 where it is not identified, with the reason. missed: of ``certainty.between_rows``.
 
     Raises BadInputError where c0 or c1 is not: without them there is no model.
     """
@@ -125,6 +129,11 @@ def untold(
                 f"it moves by {much} with the band of frequencies it is estimated in, so something"
                 f" else turns {axis}"
             )
+        if missed.get(name, 0.0) > UNKNOWN:
+            reason = (
+                f"{settings_a_row(flights[0].run):.2g} settings of the motors pass in each row, so"
+                f" one that alternates looks like one that lasts: {size:.3g} +- {error:.2g}"
+            )
         if name != "c2" and error**2 - move**2 <= (UNKNOWN * size) ** 2:
             continue  # a cut band is biased in closed loop where little is excited: warned of
         if name != "c2":
@@ -132,6 +141,14 @@ def untold(
             raise BadInputError(f"{names}: {name} is not identified, because {reason}")
         found[name] = reason
     return found
+
+
+def unidentified(reasons: Mapping[str, str]) -> list[str]:
+    """A warning for each constant that is not identified, with the reason."""
+    return [
+        f"{name} is not identified, because {reason}; the model has the profile's"
+        for name, reason in reasons.items()
+    ]
 
 
 def given_way(whole: Point, point: Point, flights: Sequence[Flight]) -> list[str]:
@@ -214,15 +231,16 @@ def _separation(one: str, other: str) -> str:
     return ""
 
 
-def cross_talk(setup: Setup, free: FreeFit) -> list[str]:
-    """Axes whose rate answers to another axis's torque as well: rotors in other places.
+def cross_talk(setup: Setup, free: FreeFit) -> dict[str, list[str]]:
+    """Axes whose rate answers to another axis's torque as well, with a warning for each: rotors in
+    other places.
 
     Raises BadInputError where roll and pitch answer to each other's torque in opposite senses, as
     they do when the rotors sit a part of a turn away from the profile's.
     """
     vehicle = setup.problem.frame.vehicle
     names = ", ".join(sorted({f.run.name for f in setup.problem.flights}))
-    lines = []
+    lines: dict[str, list[str]] = {}
     share, clear = np.zeros((3, 3)), np.zeros((3, 3), np.bool_)
     torque = _torques(setup, free)
     for axis, name in enumerate(AXES):
@@ -237,13 +255,15 @@ def cross_talk(setup: Setup, free: FreeFit) -> list[str]:
         gain, error = covariance @ gradient, np.sqrt(np.diag(covariance))
         own = free.point[CONSTANTS[axis]] + gain[axis]
         share[axis], clear[axis] = gain / own, np.abs(gain) > TURNED_ERRORS * error
-        lines += [
+        found = [
             f"{name} turns with the torque about {AXES[other]} as well"
             f" ({gain[other] / own:+.0%}): is the profile's configuration"
             f" '{vehicle.configuration}' the craft's?"
             for other in {0, 1, 2} - {axis}
             if abs(gain[other]) > max(CROSS_TALK * abs(own), 5 * error[other])
         ]
+        if found:
+            lines[name] = found
     crossed = share[0, 1] * share[1, 0] < 0 and min(abs(share[0, 1]), abs(share[1, 0])) > TURNED
     if crossed and clear[0, 1] and clear[1, 0]:
         raise BadInputError(

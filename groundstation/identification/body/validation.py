@@ -80,13 +80,14 @@ def predicted_rates(
 
 def prediction_residuals(stretch: Stretch, fit: BodyFit) -> Array:
     """One-step errors (n, 3) of a fit, whitened by the mean spectrum of the flights it was made
-    on, in standard deviations; the first rows are NaN."""
+    on, in standard deviations; the first rows are NaN, all where the stretch is shorter than the
+    whitener."""
     (left,) = on_other(fit.setup, [stretch]).residuals(fit.point)
     out = np.full(left.shape, np.nan)
     for axis in range(3):
         whitener = minimum_phase_whitener(fit.free, axis)
-        white = np.convolve(left[:, axis], whitener, "valid")
-        out[len(left) - len(white) :, axis] = white
+        if len(left) >= len(whitener):  # numpy exchanges the two where it is shorter
+            out[len(whitener) - 1 :, axis] = np.convolve(left[:, axis], whitener, "valid")
     return out
 
 

@@ -13,8 +13,9 @@ from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_moto
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP, at_stage
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import unseen
+from groundstation.identification.body.certainty import between_rows, unseen
 from groundstation.identification.body.fit import BodyFit, fit_body, vertical
+from groundstation.identification.body.judgement import EVERY_SETTING
 from groundstation.identification.body.setup import FIT_WITH, SUPPLY_EFFECTS, on_other
 from groundstation.identification.body.validation import (
     SHAKEN_S,
@@ -59,6 +60,9 @@ AHEAD_S, DRAWN_S = 0.02, 3.0
 KNOCK_G = 4.0
 """What no thrust gives a craft, and rotors that shake an unfiltered accelerometer hardly do."""
 OF_THE_MOTORS = {effect.name for stage in ("supply", "motor") for effect in at_stage(stage)}
+TESTED_ROWS = 50
+"""Held-out residuals from which their correlations tell anything: twice the tests' lags."""
+UNTESTED = "the residuals are not tested: the held-out stretch is no longer than their filter"
 
 
 def identify_body(
@@ -113,6 +117,7 @@ def identify_body(
             *(f"{one.name}: left out, a motor is saturated in most rows" for one in saturated),
             *knocks([*fit_on, *validate_on]),
             *_of_the_motors(fit, exact=covariance is None and not measured),
+            *([] if residuals else [UNTESTED]),
         ],
     }
     terms = supply_terms(supplied, supplies, _profile(before, vehicle))
@@ -124,13 +129,17 @@ def identify_body(
 def _found(
     fit: BodyFit, fit_on: Sequence[Stretch], validate_on: Sequence[Stretch]
 ) -> dict[str, Any]:
-    """What the fit says, and how well it predicts either part."""
+    """What the fit says, and how well it predicts either part. record: what tells a constant that
+    flying otherwise does not."""
+    told_not = fit.not_identified.keys()
     return {
         "estimates": fit.estimates.as_dict(),
         "fitted_along": {key: _stated(*found) for key, found in fit.nuisances.items()},
         "left_out": _left_out(fit),
         "motor_pace": _stated(*fit.pace),
         "not_identified": fit.not_identified,
+        "record": dict.fromkeys(between_rows(fit.setup).keys() & told_not, EVERY_SETTING),
+        "crossed": list(fit.crossed),
         "identification": validate_body(fit_on, fit),
         "validation": validate_body(validate_on, fit),
     }
@@ -313,6 +322,8 @@ def _pictures(
     left = prediction_residuals(stretch, fit)
     for axis, name in enumerate(AXES):
         good = np.isfinite(left[:, axis])
+        if good.sum() < TESTED_ROWS:
+            continue
         residuals.append(
             residual_test(
                 f"{name} rate",

@@ -16,7 +16,7 @@ export function watchFlights() {
         kind, recordings: chosen("use"), validate: chosen("proof"),
         model: fits ? at("start").value : kind === "inspect" ? "" : at("model").value,
         effects: fits ? effects() : [], measured_rotors: fits && at("measured").checked,
-      }, "Begun; its state is in the list of jobs.");
+      }, "Started. See Jobs.");
     });
   }
   at("with").addEventListener("toggle", async () => {

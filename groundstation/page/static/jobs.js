@@ -20,9 +20,9 @@ export function watchJobs() {
 /** Fly the craft and learn it, in the folder of an earlier job where one is named. */
 async function learn(model) {
   if (await confirmed("Learn this craft?",
-    "It takes off by itself, up to seven times for a minute each, and flies at 0.5 m within 1 m to either side. "
-    + "Propellers turn at once. Is everybody away, and is there room? Stop motors ends it.", "Fly and learn"))
-    change("/jobs/start", { kind: "learn", model }, "Begun; its state is in the list of jobs.");
+    "It takes off by itself several times. Each take-off is announced here 10 s before, with a sound. "
+    + "Land and Stop motors end all of it. Is everybody away, and is there room?", "Fly and learn"))
+    change("/jobs/start", { kind: "learn", model }, "Started. See Jobs.");
 }
 
 function make(job) {
@@ -67,7 +67,7 @@ function advised(job, { effects, measured_rotors: measured }) {
   const made = button("Fit again with these", job.id, () => change("/jobs/start", {
     kind: "fit", recordings: job.recordings, validate: job.validate, model: job.model,
     effects: [...new Set([...job.effects, ...effects])], measured_rotors: job.measured_rotors || measured,
-  }, "Begun; its state is in the list of jobs."));
+  }, "Started. See Jobs."));
   return [`The fit advises: ${what.join(", ")}. `, made];
 }
 

@@ -49,7 +49,7 @@ function card(one, { flown, watching }, open) {
         change("/models/watch", { model: one.id }, `${one.id} watches the craft.`)));
   does.append(button("Design a controller", one.id, false, () =>
     change("/jobs/start", { kind: "design", model: one.id },
-      "Begun; its state is in the list of jobs, under Flights.")));
+      "Started. See Jobs under Flights.")));
   if (one.report) does.append(link(`file/report/${encodeURIComponent(one.id)}`, "Report", one.id));
   if (one.file) does.append(link(`file/model/${encodeURIComponent(one.id)}`, "Model file", one.id, true));
   made.append(does);

@@ -1,15 +1,33 @@
-// Stop, and whatever else acts on the motors: always in the same place.
+// Land and Stop, and whatever else acts on the motors: always in the same place.
 
-import { change, confirmed } from "./change.js";
+import { change, closeOpen, confirmed, tell } from "./change.js";
 import { at, clock, write } from "./dom.js";
 
-async function stop() {
-  const pressedMs = Date.now();
-  write("stopped", `Stop pressed at ${clock(pressedMs)}: asked.`);
-  const found = await change("/command/stop", null, null);
-  const after = ((Date.now() - pressedMs) / 1000).toFixed(1);
-  write("stopped", `Stop pressed at ${clock(pressedMs)}: ` + (!found ? `not done (${at("said").textContent})`
-    : found.motors === "stopped" ? `motors stood within ${after} s.` : `${found.motors} (${after} s later).`));
+let presses = 0; // of Land and Stop: what is said is of the last one
+let waits = false; // for the answer to the last one
+let before = null; // of the status: tells when something new begins
+
+const DONE = { stopped: "motors stood within", landed: "landed within" };
+
+async function press(word, path) {
+  const pressedMs = Date.now(), number = ++presses;
+  const pressed = `${word} pressed at ${clock(pressedMs)}: `;
+  waits = true;
+  tell("stopped", `${pressed}asked.`, true);
+  const found = await change(path, null, null);
+  if (number !== presses) return;
+  const after = `${((Date.now() - pressedMs) / 1000).toFixed(1)} s`;
+  waits = false;
+  tell("stopped", pressed + (!found ? `not done (${at("said").textContent})`
+    : DONE[found.motors] ? `${DONE[found.motors]} ${after}.` : `${found.motors} (${after} later).`)
+    + (found?.ended.length ? ` ${word} also ended ${found.ended.join(", ")}.` : ""));
+  if (!found) write("said", "");
+}
+
+const stop = () => press("Stop", "/command/stop");
+
+function land() {
+  if (!waits) press("Land", "/command/land");
 }
 
 function level() {
@@ -31,6 +49,7 @@ async function disarm() {
 
 export function watchMotors() {
   at("stop").addEventListener("click", stop);
+  at("land").addEventListener("click", land);
   at("level").addEventListener("click", level);
   at("arm").addEventListener("click", arm);
   at("disarm").addEventListener("click", disarm);
@@ -42,13 +61,23 @@ export function watchMotors() {
     if (await change("/command/connect", { uri }, `Connecting to ${uri}.`)) event.target.reset();
   });
   document.addEventListener("keydown", (event) => {
-    if (event.key === "Escape" && !event.repeat) { // wherever the cursor is
+    if (event.key === "Escape" && !event.isComposing) { // wherever the cursor is
       event.preventDefault();
-      at("question").close();
-      stop();
+      if (event.repeat) return;
+      if (closeOpen()) tell("said", "Closed. Esc again stops the motors.");
+      else stop();
     } else if (event.key === "l" && !at("level").disabled && !event.ctrlKey && !event.altKey
         && !event.metaKey && !event.target.closest("input, select, textarea")) level();
   });
+}
+
+/** Whether since the last status a craft was connected, or somebody began to command. */
+function begins(command) {
+  const now = { craft: command?.state === "connected" ? command.uri : "", client: command?.client ?? "",
+    announced: command?.announced?.text ?? "" };
+  const began = before && Object.keys(now).some((one) => now[one] && now[one] !== before[one]);
+  before = now;
+  return began;
 }
 
 /** What can be done now, and why not. */
@@ -56,11 +85,13 @@ export function showMotors(command) {
   const connected = command?.state === "connected";
   write("command", !command ? "no command link" : `${command.uri} ${command.state}`
     + (command.client ? `, ${command.client} commands` : ""));
+  if (!waits && begins(command)) write("stopped", "");
   at("stop-why").className = command && !command.out_of_reach ? "soft" : "bad";
-  write("stop-why", !command ? "No command link: Stop reaches no motors."
-    : command.out_of_reach ? `${command.out_of_reach}.` : connected ? "Stop acts at once, whoever commands."
+  write("stop-why", !command ? "Stop unavailable: connect to the craft first."
+    : command.out_of_reach ? `${command.out_of_reach}.` : connected ? "Stops immediately, whoever is flying."
       : `The command link is ${command.state}.`);
   at("stop").disabled = !command;
+  at("land").disabled = !connected || !command.holds_height;
   at("level").disabled = !command?.client;
   at("level").setAttribute("aria-pressed", String(Boolean(command?.held_level)));
   const today = connected && command.firmware === "2.x"; // older firmware knows no arming

@@ -2,6 +2,7 @@
 
 import { send } from "./change.js";
 import { Charts } from "./charts.js";
+import { askColumns, closeColumns, saved, wrong } from "./columns.js";
 import { CraftView } from "./craft.js";
 import { at, decimals, element, pressable, write } from "./dom.js";
 import { poseAt } from "./pose.js";
@@ -49,11 +50,33 @@ async function offerExamples() {
 const addFile = (file) => add("file", file.name, file, "application/octet-stream");
 
 async function add(kind, name, content, type) {
+  closeColumns();
   at("opened-state").textContent = `Reading ${name}…`;
   const found = await send(`add/${kind}/${encodeURIComponent(name)}`, content, type, null);
   if (location.hash !== "#opened") return; // somebody went on meanwhile
-  if (found) openRecording(found.file);
-  else at("opened-state").textContent = at("said").textContent;
+  if (!found) at("opened-state").textContent = at("said").textContent;
+  else if (found.form) askFor(name, content, type, found);
+  else await openAdded(found);
+}
+
+/** Asks which column is which channel, and opens the file by the answers. */
+function askFor(name, content, type, { form, why }) {
+  at("opened-state").textContent = "";
+  at("opened-view").hidden = true;
+  askColumns(name, why, form, async (chosen) => {
+    wrong(`Reading ${name}…`);
+    const answers = encodeURIComponent(JSON.stringify(chosen));
+    const found = await send(`add/file/${encodeURIComponent(name)}?columns=${answers}`, content, type, null);
+    if (!found) return wrong(at("said").textContent);
+    closeColumns();
+    return openAdded(found, saved(`${name.replace(/\.[^.]*$/, "")}.map.toml`, found.map));
+  });
+}
+
+async function openAdded({ file: added, said }, link = null) {
+  await openRecording(added);
+  if (said) at("opened-state").textContent += `; ${said}`;
+  if (link) at("opened-state").append(" ", link);
 }
 
 /** Shows a file of the recordings folder. */

@@ -2,6 +2,7 @@
 // Nothing is ever queued for a browser: one that is slow asks seldom and gets fewer rows.
 
 import { showAlarms } from "./alarms.js";
+import { watchAnnounced } from "./announced.js";
 import { change } from "./change.js";
 import { Charts } from "./charts.js";
 import { CraftView } from "./craft.js";
@@ -185,6 +186,7 @@ window.addEventListener("hashchange", showPart);
 
 showPart();
 watchMotors();
+watchAnnounced();
 ask();
 draw();
 setTimeout(scan, 3000);

@@ -1,10 +1,11 @@
-// The craft's parameters: read, searched, changed after a question, and put back.
+// The craft's parameters: read, searched, changed after a question, put back, and stored.
 
 import { confirmed, send } from "./change.js";
 import { at, element, reconcile, write, writeIn } from "./dom.js";
 
 const SHOWN_MOST = 150;
 let values = null; // by name, as the craft last said
+let stored = {}; // what the craft keeps while it is switched off
 const first = new Map(); // as this page read them first: what is put back
 const digits = (value) => String(Number(value.toPrecision(7)));
 
@@ -12,6 +13,8 @@ export function watchParameters() {
   at("parameter-search").addEventListener("input", show);
   at("parameter-read").addEventListener("click", read);
   at("parameter-back").addEventListener("click", putBack);
+  at("gains-store").addEventListener("click", store);
+  at("gains-clear").addEventListener("click", clear);
   window.addEventListener("hashchange", () => {
     if (location.hash === "#parameters" && !values) read();
   });
@@ -27,6 +30,16 @@ async function read() {
     return;
   }
   take(found.values);
+  takeStored(found);
+}
+
+function takeStored(found) {
+  stored = found.stored;
+  const why = found.stores ? "" : "This craft's firmware stores no parameters.";
+  for (const id of ["gains-store", "gains-clear"]) at(id).title = why;
+  at("gains-store").disabled = !found.stores;
+  at("gains-clear").disabled = !Object.keys(stored).some((name) => name.startsWith("pid_"));
+  show();
 }
 
 function take(found) {
@@ -70,7 +83,7 @@ function make(name) {
 function update(row, name) {
   const now = digits(values[name]), before = digits(first.get(name));
   const text = now === before ? now : `${now} (was ${before})`;
-  writeIn(row.cells[1], text);
+  writeIn(row.cells[1], name in stored ? `${text}, stored ${digits(stored[name])}` : text);
 }
 
 async function change(wanted) {
@@ -83,3 +96,18 @@ async function change(wanted) {
 }
 
 const putBack = () => change(Object.fromEntries(changed().map(([name]) => [name, first.get(name)])));
+
+async function keep(clears, done) {
+  const found = await send("parameters/stored", JSON.stringify({ clear: clears }), "application/json", done);
+  if (found) takeStored(found);
+}
+
+async function store() {
+  if (await confirmed("Store the gains?", "The craft keeps the gains that it has now when it is switched off.",
+    "Store")) await keep(false, "Stored, and read back from the craft.");
+}
+
+async function clear() {
+  if (await confirmed("Clear the stored gains?", "The stock gains are back when the craft is switched off and on.",
+    "Clear")) await keep(true, "Cleared. The gains stay until the craft is switched off.");
+}

@@ -1,5 +1,6 @@
 // What the daemon is doing, once a second.
 
+import { showAnnounced } from "./announced.js";
 import { at, clock, element, fixed, write } from "./dom.js";
 import { showMotors } from "./motors.js";
 
@@ -27,6 +28,7 @@ export function showStatus(status) {
   write("doing", link.doing);
   at("doing").hidden = at("doing-title").hidden = !link.doing;
   showMotors(status.command);
+  showAnnounced(status.command);
   showRecording(status.recording, link);
 }
 

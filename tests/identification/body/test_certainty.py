@@ -5,9 +5,10 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
-from groundstation.identification.body.certainty import blurred
+from groundstation.identification.body.certainty import blurred, certain
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.body.setup import set_up
+from groundstation.identification.likelihood.free_spectra import fit_free
 from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import stretches_of
 from support.flights import recorded, truth_of
@@ -28,6 +29,19 @@ def are_blurred(samples, speeds):
     samples.rotor_rev_s[:] = speeds
     stretches = stretches_of(runs_of(samples, "flight"), THESIS_MOTOR, measured=True)
     return blurred(set_up(stretches, VEHICLE, VEHICLE.thrust_per_mass, ()).problem.flights)
+
+
+def test_no_error_is_smaller_than_the_likelihood_s_own():
+    """Blocks of time and bands of frequency may add to it, never take from it."""
+    samples, speeds = recorded_speeds()
+    samples.rotor_rev_s[:] = speeds
+    stretches = stretches_of(runs_of(samples, "flight"), THESIS_MOTOR, measured=True)
+    setup = set_up(stretches, VEHICLE, VEHICLE.thrust_per_mass, ())
+    free = fit_free(setup.linearise, setup.start, setup.limits(), white=False)
+    found = certain(setup, free, noisy=False)
+    likelihood = np.diag(np.linalg.inv(free.normal))
+    assert (np.diag(found.covariance) > 0.999 * likelihood).all()
+    assert found.alone == pytest.approx(likelihood)
 
 
 def noise_like(speeds, held_rows=1):

@@ -11,7 +11,11 @@ from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.identification.body.fit import fit_body, likeliest_that_turns
 from groundstation.identification.body.setup import on_other
-from groundstation.identification.body.validation import predicted_rates, validate_body
+from groundstation.identification.body.validation import (
+    predicted_rates,
+    prediction_residuals,
+    validate_body,
+)
 from groundstation.identification.division import divided
 from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import stretches_of
@@ -262,3 +266,10 @@ def test_an_effect_that_the_fit_does_not_know_is_refused(reduced):
         fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE, ("ground_curse",))
     with pytest.raises(BadInputError, match="it shows in accelerometer z"):
         fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE, ("ground_effect",))
+
+
+def test_a_stretch_shorter_than_the_whitener_has_no_residuals_to_test(reduced, fitted):
+    whole = stretches_of(reduced, THESIS_MOTOR)[0]
+    short = replace(whole, last=whole.first + 100)
+    assert np.isnan(prediction_residuals(short, fitted)).all()
+    assert np.isfinite(prediction_residuals(whole, fitted)[-100:]).all()

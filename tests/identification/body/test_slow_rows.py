@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.body.certainty import settings_a_row, unseen_delay_s
+from groundstation.identification.body.certainty import folds, settings_a_row, unseen_delay_s
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.runs import CHANNELS, runs_of
 from groundstation.identification.stretches import quicker, stretches_of
@@ -41,6 +41,33 @@ def test_constants_lie_in_their_stated_intervals_whichever_setting_the_rows_hold
     assert error.max() < 0.05 * every
     (warning,) = (line for line in fit.warnings if f"one in {every} of" in line)
     assert warning.startswith(f"{500 / every:.0f} rows a second")
+
+
+@pytest.mark.parametrize(("every", "first"), [(2, 0), (2, 1), (4, 0), (10, 1)])
+def test_yaw_is_not_told_where_each_row_holds_the_same_of_two_alternating_settings(
+    run, every, first
+):
+    """What alternates folds onto the command: c2 seems 60 % smaller or 30 % larger."""
+    fit, _, _ = fitted(run, every, first)
+    truth, place = VEHICLE.body_constants[2], fit.estimates.names.index("c2")
+    found, error = fit.estimates.values[place], fit.estimates.stderr[place]
+    assert abs(found - truth) < 1.96 * error
+    assert "alternates" in fit.not_identified["c2"]
+    assert fit.body.c2 == truth
+
+
+@pytest.mark.parametrize("every", [1, 3, 5])
+def test_yaw_is_told_where_rows_hold_either_of_two_alternating_settings_in_turn(run, every):
+    fit, _, _ = fitted(run, every, 0)
+    assert not fit.not_identified
+    assert fit.body.c2 == pytest.approx(VEHICLE.body_constants[2], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("rows_hz", "does"), [(250.1, True), (252, False), (100, False), (62.5, True)]
+)
+def test_only_rows_in_step_with_the_settings_fold(run, rows_hz, does):
+    assert folds(replace(run, period_s=1.0 / rows_hz)) == does
 
 
 def test_rows_with_every_setting_cost_nothing(run):
