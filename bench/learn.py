@@ -11,12 +11,11 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from bench.results import Line, append, judged, read_results
+from bench.results import Line, rows, run_cases
 
-CRAFTS = ("crazyflie1", "crazyflie21", "crazyflie21plus", "brushless")
+CRAFTS = ("crazyflie21", "crazyflie21plus", "brushless")
 COMMAND = str(Path(sys.executable).with_name("groundstation"))
 TITLES = (
     *("craft, seed", "names", "sizes", "gains", "RMS before", "after", "batteries", "air, s"),
@@ -26,16 +25,11 @@ TITLES = (
 
 def main() -> int:
     options = _options()
-    options.results.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first, options.first + options.seeds)
     cases = [f"{craft}-{seed}" for seed in seeds for craft in options.crafts]
-    done = judged(options.results)
-    with ThreadPoolExecutor(options.jobs) as pool:
-        left = [case for case in cases if case not in done]
-        for line in pool.map(lambda case: learn(case, options.results), left):
-            append(options.results, line)
-            print(" | ".join(_cells(line)), file=sys.stderr, flush=True)
-    print("\n".join(table([one for one in read_results(options.results) if one["case"] in cases])))
+    results = options.results
+    lines = run_cases(cases, results, options.jobs, lambda case: learn(case, results), _cells)
+    print("\n".join(table(lines)))
     return 0
 
 
@@ -67,10 +61,7 @@ def learn(case: str, results: Path) -> Line:
 
 def table(lines: Sequence[Line]) -> Iterator[str]:
     """A row a craft, and what the acceptance of `learn` asks for."""
-    yield f"| {' | '.join(TITLES)} |"
-    yield "|---" * len(TITLES) + "|"
-    for line in lines:
-        yield f"| {' | '.join(_cells(line))} |"
+    yield from rows(TITLES, lines, _cells)
     good = [line for line in lines if "error" not in line]
     sizes = [size["inside"] for line in good for size in line["hidden"]]
     changes = [change(line) for line in good]

@@ -17,7 +17,7 @@ import numpy as np
 from groundstation.cli.learn_flights import SOFTWARE, Place
 from groundstation.dynamics.model import load_model
 from groundstation.learn.information import Information, choose
-from groundstation.learn.manoeuvres import BODY, HOVER, PROOF, REST_S, Limits, library
+from groundstation.learn.manoeuvres import BODY, HOVER, PROOF, Limits, library
 from groundstation.learn.planning import rehearsed
 from groundstation.learn.story import BODY_MODEL, DESIGNED_S
 
@@ -31,7 +31,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.planned", description=__doc__)
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER")
     limits = Limits()
-    seconds = {name: one.seconds + REST_S for name, one in library(limits).items()}
+    seconds = {name: one.held_s for name, one in library(limits).items()}
     ratios = []
     for folder in parser.parse_args().folders:
         model = load_model(folder / BODY_MODEL)
