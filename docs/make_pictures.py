@@ -95,10 +95,10 @@ def page_pictures() -> dict[str, bytes]:
         ) as daemon:  # fmt: skip
             try:
                 assert daemon.stdout is not None
-                said = iter(daemon.stdout)
-                address = next(line.split()[-1] for line in said if "?token=" in line)
+                next(line for line in daemon.stdout if line.split()[:1] == ["control"])
+                answer = subprocess.check_output([*command, "page"], env=environment, text=True)
                 page = browser_page(playwright)
-                page.goto(address)
+                page.goto(answer.strip())
                 expect(page.locator("#live")).to_have_text("live", timeout=120_000)
                 page.wait_for_timeout(30_000)
                 return looks(page, full=True)
