@@ -52,6 +52,9 @@ ELSEWHERE = {
     "make check-local": ("recordings that are not published", "Makefile", "pytest tests/local"),
     "make demo": ("three minutes", ".ci/run", "make -s demo"),
     "groundstation learn": ("minutes", "tests/learn/test_learn.py", '"learn"'),
+    "groundstation pid fly --rehearse": (
+        *("flies a model for a minute", "tests/system/test_rehearsal.py", '"--rehearse"'),
+    ),
     "groundstation plan": ("flies a model for 90 s", "tests/learn/test_plan.py", '"plan"'),
     "groundstation bench motor": (
         *("a craft on the bench", "tests/system/test_bench_motor.py", '"bench", "motor"'),
