@@ -22,9 +22,10 @@ from groundstation.service.requests import StoredParameter
 
 GAINS = "pid_"
 """How the names of a controller's gains begin."""
-LANDED_S, LOOK_S = 4.0, 0.1
-"""How long a craft that was landed is waited for: the firmware calls it flying for 2 s more. How
-often it is looked at."""
+STANDS_S, LOOK_S = 12.0, 0.1
+"""How long a craft is waited for whose motors may stand soon: one that was just switched on tests
+them, and the firmware calls a craft flying for 2 s after it has landed. How often it is looked
+at."""
 STORES = "stored"
 """The kind of the events about it."""
 KEEPS_NOTHING = (
@@ -97,7 +98,7 @@ class StoredParameters:
         none, TakenError where it flies and was not asked before."""
         link = self._connection.require_connected()
         storage = _storage_of(link)
-        for _ in range(round(LANDED_S / LOOK_S)):
+        for _ in range(round(STANDS_S / LOOK_S)):
             await self._read(link, lambda: self._end.is_still(link))
             if storage.numbers.keys() <= storage.states.keys():
                 return self._states(link, storage)
@@ -146,7 +147,7 @@ class StoredParameters:
     async def _landed(self, token: str) -> None:
         """Wait for a craft whose motors do not turn to say so, and to call itself landed. Raises as
         ``_require``."""
-        for _ in range(round(LANDED_S / LOOK_S)):
+        for _ in range(round(STANDS_S / LOOK_S)):
             lease, link = self._leased(token)
             if lease.flies or self._end.is_still(link) or self._drives(link):
                 break

@@ -1,5 +1,6 @@
 """Land and Stop in a real browser: where they are, what they do, and what stands beside them."""
 
+import contextlib
 import re
 import threading
 import time
@@ -7,7 +8,7 @@ import time
 import pytest
 
 from groundstation.errors import GroundStationError
-from groundstation.service.client import Pilot
+from groundstation.service.client import Pilot, ask
 from support.page_requests import expect
 from support.programs import free_port
 from support.waiting import until
@@ -220,6 +221,24 @@ def test_a_craft_is_connected_and_stopped_while_the_page_asks_something(standing
     expect(page.locator("#said")).to_contain_text("has armed itself again")
 
 
+@contextlib.contextmanager
+def kept(daemon, pilot):
+    """Its lease is kept meanwhile, however long a browser takes for a step."""
+    over = threading.Event()
+
+    def keep():
+        while not over.wait(0.5):
+            ask(daemon.socket, "POST", "/command/keep", {"token": pilot.lease["token"]})
+
+    keeper = threading.Thread(target=keep)
+    keeper.start()
+    try:
+        yield
+    finally:
+        over.set()
+        keeper.join()
+
+
 def test_a_take_off_is_counted_down_beside_stop_with_a_sound_each_second(resting, visit):
     page = visit(resting.address())
     expect(page.locator("#live")).to_have_text("live")
@@ -233,7 +252,7 @@ def test_a_take_off_is_counted_down_beside_stop_with_a_sound_each_second(resting
         };
     }""")
     banner = page.locator("footer").get_by_role("alert")
-    with Pilot(resting.socket, "learn") as pilot:
+    with Pilot(resting.socket, "learn") as pilot, kept(resting, pilot):
         pilot.announce("learn takes off", COUNTDOWN_S)
         expect(banner).to_have_text(re.compile(r"^learn takes off in 1?\d s$"))
         expect(page.locator("#announced-sound")).to_have_text("Sound is off: click the page once.")
@@ -241,12 +260,7 @@ def test_a_take_off_is_counted_down_beside_stop_with_a_sound_each_second(resting
         page.locator("#plots-title").click()
         expect(page.locator("#sound")).to_have_text("on")
         expect(page.locator("#announced-sound")).to_have_text("")
-
-        def over():
-            pilot.keep()
-            return banner.text_content() == "learn takes off"
-
-        until(over, "the countdown is over")
+        until(lambda: banner.text_content() == "learn takes off", "the countdown is over")
         *counted, last = page.evaluate("window.sounds")
         seconds = [int(re.fullmatch(r"learn takes off in (\d+) s", one)[1]) for one in counted]
         assert len(seconds) > 3

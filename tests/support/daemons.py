@@ -69,8 +69,10 @@ def require_failure(result, status=1):
 
 
 def refused_run(folder, *arguments):
-    """A daemon that cannot begin ends with one line of its own, after its events; that line."""
-    ended = in_process("run", *arguments, cwd=folder)
+    """A daemon that cannot begin ends with one line of its own, after its events; that line.
+
+    Its socket is its own and beside ``folder``: another test may run a daemon at the same time."""
+    ended = in_process("run", *arguments, socket_path=f"{folder}.sock", cwd=folder)
     assert ended.returncode == 1, ended.stdout
     *_, line = ended.stderr.strip().splitlines()
     assert line.startswith("groundstation: ")
