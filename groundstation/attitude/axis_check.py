@@ -13,16 +13,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.attitude.sensors import rest_bias
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
 
-Array = NDArray[np.float64]
-
-AXES = ("roll", "pitch", "yaw")
 LEAST_TURN = np.radians(10.0)
 LEAST_SECONDS = 3.0
 

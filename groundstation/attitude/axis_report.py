@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.attitude.axis_check import AXES, AxisCheck
+from groundstation.arrays import AXES
+from groundstation.attitude.axis_check import AxisCheck
 from groundstation.attitude.sensors import accelerometer_attitude, integrate_gyroscope
 from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.page import Page

@@ -7,11 +7,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from groundstation.arrays import Array
 from groundstation.attitude.sensors import accelerometer_attitude
-
-Array = NDArray[np.float64]
 
 START_ROWS = 25
 """The first attitude is the accelerometer's mean over so many rows (50 ms)."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.attitude.filters import KalmanNoise, complementary, kalman
 from groundstation.attitude.sensors import (
     accelerometer_attitude,
@@ -15,8 +15,6 @@ from groundstation.attitude.sensors import (
 )
 from groundstation.errors import BadInputError
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 LEAST_ROWS = 100
 END_SHARE, END_ROWS = 20, 500

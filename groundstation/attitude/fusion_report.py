@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from groundstation.arrays import AXES
 from groundstation.attitude.fusion import Fused
 from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.page import Page
@@ -14,7 +15,6 @@ from groundstation.report.theme import MEASURED, SERIES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-AXES = ("roll", "pitch", "yaw")
 COLOURS = dict(
     zip(("integrated", "complementary", "kalman", "accelerometer"), SERIES, strict=False)
 ) | {"reported": MEASURED}

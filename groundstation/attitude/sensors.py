@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
 
 REST_RATE = np.radians(3.0)
 """A craft whose rate varies by less than this (rad/s, standard deviation) lies still."""

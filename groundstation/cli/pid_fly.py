@@ -112,7 +112,7 @@ def fly(
 
 def _planned(shape: Any, axes: list[str] | None, *more: Any) -> Programme:
     """Raises BadInputError for one that should not be flown."""
-    from groundstation.control.pid import AXES
+    from groundstation.arrays import AXES
     from groundstation.control.programme import Programme, require_flyable
 
     planned = Programme(shape, tuple(axes or AXES), *more)

@@ -7,9 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from groundstation.arrays import Array
 from groundstation.comparison.consistency import require_consistent
 from groundstation.comparison.gap import (
     FURTHER_EVERY_S,
@@ -34,8 +32,6 @@ from groundstation.dynamics.model import Model, model_vehicle, require_body
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.report.result import Result
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)

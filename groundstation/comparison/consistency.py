@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.comparison.regimes import Motion, motion_of
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle
@@ -25,9 +25,6 @@ from groundstation.identification.runs import Run
 from groundstation.telemetry.masks import spans
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
-Array = NDArray[np.float64]
-
-AXES = ("roll", "pitch", "yaw")
 BAND_HZ = (4.0, 18.0)
 LATEST_S = 0.03
 """Response window: exceeds dead time, filters and sensor lag of any craft that flies."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.regimes import Motion, motion_of
 from groundstation.dynamics.arx import Turning
@@ -31,8 +32,6 @@ from groundstation.prediction.prediction import (
     predict_observed,
 )
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 HORIZONS_S = (0.02, 0.05)
 FURTHER_S = (0.2, 0.5)

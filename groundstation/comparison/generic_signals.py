@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.comparison.regimes import Motion
 from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.runs import Run
 from groundstation.identification.velocity import LEAK_S, velocity_of
-
-Array = NDArray[np.float64]
 
 LAGS = (1, 2, 3, 4, 6, 8, 12, 18, 26)
 """Rows by which inputs may act later than the base model has it."""
@@ -28,7 +26,6 @@ PULL_S = 0.1
 MOTOR_S = 0.05
 """A small motor with its propeller settles within about this time."""
 GROUND_S = (0.4,)
-AXES = ("roll", "pitch", "yaw")
 MIXED = (*AXES, "collective")
 
 

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.gap import PER_SI, UNITS, AheadErrors
 from groundstation.comparison.noise_floor import Floor
 from groundstation.comparison.regimes import WHOLE, regimes_of
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 0.25
 """Errors of one horizon forget each other within a fraction of this."""

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.autoregression import estimate_noise
 from groundstation.comparison.gap import (
     ACCELEROMETER,
@@ -32,8 +33,6 @@ from groundstation.comparison.noise_floor_fit import ChannelPredictor, fit_signa
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.rotations import euler_rates
 from groundstation.prediction.attitude_rhythm import fresh_rows
-
-Array = NDArray[np.float64]
 
 SOURCE = (
     "black-box predictor on the same rows: generic signals that clearly show in the one-step"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.law import SPIN
 from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
 from groundstation.dynamics.motor import REVOLUTION
@@ -15,7 +16,6 @@ from groundstation.identification.runs import Run
 from groundstation.identification.torque import SATURATED, RotorSquares, rotor_squares
 from groundstation.identification.velocity import velocity_of
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 WHOLE = "whole flight"

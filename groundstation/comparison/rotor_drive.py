@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.regimes import Motion
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.hover import duties_for
@@ -21,8 +21,6 @@ from groundstation.dynamics.registry import EFFECTS, ROTORS_TURN_BY
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import measured_squares
-
-Array = NDArray[np.float64]
 
 BAND_S = (0.05, 1.0)
 """Means over these are subtracted: what turns a craft, not vibration nor the battery's part."""

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
+from groundstation.arrays import AXES
 from groundstation.control.evaluate import STEADY_S, WHOLE_STEP_RAD, calms
 from groundstation.control.gain_conversion import scaled
 from groundstation.control.linear_loop import axis_plant, run_direct
-from groundstation.control.pid import AXES, PidGains
+from groundstation.control.pid import PidGains
 from groundstation.control.thesis_loop import (
     SUPPLY_MV,
     counts_per_control,

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.control.design import (
     COMPLIANCE,
     OFFSET,
@@ -48,7 +48,6 @@ from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.suitability import WORDS, Use, suitability
 from groundstation.report.page import Page
 
-Array = NDArray[np.float64]
 Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200
 """Points of the front that a report carries."""

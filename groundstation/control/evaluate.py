@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.control.firmware_loop import (
     STEP_RAD,
     cascade_loop,
@@ -24,14 +24,13 @@ from groundstation.control.linear_loop import (
 )
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
-from groundstation.control.pid import AXES, PidGains
+from groundstation.control.pid import PidGains
 from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.thesis_loop import run_whole, whole_loop
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
-Array = NDArray[np.float64]
 Loop = Literal["direct", "whole", "firmware"]
 LOOPS: tuple[Loop, ...] = ("direct", "whole", "firmware")
 WHOLE_STEP_RAD = 0.2

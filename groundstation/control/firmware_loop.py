@@ -19,14 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.control.firmwares import RELEASE_2014, Firmware
 from groundstation.control.margins import LoopResponse, Margins
-from groundstation.control.pid import AXES
 from groundstation.control.plant import Plant
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
-Array = NDArray[np.float64]
 Complex = NDArray[Any]
 
 GAIN_MOST = 1000.0

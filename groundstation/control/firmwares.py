@@ -11,15 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from groundstation.control.pid import AXES
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import FULL_16_BIT
 
-Array = NDArray[np.float64]
 Release = Literal["2014", "2.x"]
 RELEASES: tuple[Release, ...] = get_args(Release)
 Curve = tuple[float, float, float, float]

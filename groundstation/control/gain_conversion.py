@@ -16,9 +16,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from groundstation.arrays import AXES
 from groundstation.control.firmware_loop import integral_ratios, require_gains
 from groundstation.control.firmwares import FULL, RELEASE_2014
-from groundstation.control.pid import AXES, PidGains
+from groundstation.control.pid import PidGains
 from groundstation.control.thesis_loop import SUPPLY_MV, counts_per_control
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model

@@ -13,16 +13,15 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
-from groundstation.control.pid import AXES, PidGains
+from groundstation.control.pid import PidGains
 from groundstation.dynamics.arx import angle_polynomial
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.sensors import delay_of_model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
-
-Array = NDArray[np.float64]
 
 GRID = 1500
 """Frequencies of a loop's response, logarithmic from 0.05 rad/s up to half the sampling rate."""

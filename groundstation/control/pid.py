@@ -17,8 +17,6 @@ import msgspec
 
 from groundstation.errors import BadInputError
 
-AXES = ("roll", "pitch", "yaw")
-
 
 class PidGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """K_P in output unit per rad, K_I per rad s, K_D per rad/s.

@@ -16,16 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.control.firmware_loop import run_cascade
 from groundstation.control.metrics import StepMetrics, step_metrics
-from groundstation.control.pid import AXES
 from groundstation.control.plant import Plant
 from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 EARLIEST_S, LATEST_S = -0.45, 0.12
 """Where an edge is looked for, from the moment its setpoint was sent, and not beyond half the way

@@ -16,19 +16,18 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.control.firmware_loop import hold_response, rate_per_pwm
 from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.linear_loop import axis_plant, controller, frequency_response, grid
 from groundstation.control.margins import LoopResponse
-from groundstation.control.pid import AXES, PidGains
+from groundstation.control.pid import PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
 from groundstation.dynamics.arx import angle_polynomial, stacked
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
-
-Array = NDArray[np.float64]
 
 SUPPLY_MV = 3700.0
 SAME_PERIOD = 0.01

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.control.firmwares import Curve, Firmware
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.hover import hover_rev_s
@@ -20,8 +20,6 @@ from groundstation.dynamics.model import Model
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import FULL_16_BIT
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 THRUST = "stabilizer.thrust"
 """The log variable, in units of 16 bits; in any table of a recording."""

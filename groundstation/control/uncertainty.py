@@ -8,9 +8,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from groundstation.control.pid import AXES
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import BodyConstants, Estimate, Model, with_motor
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.suitability import (
@@ -22,8 +21,6 @@ from groundstation.dynamics.suitability import (
 )
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
-
-Array = NDArray[np.float64]
 
 BODY = ("c0", "c1", "c2", "thrust_per_mass")
 MOTOR = ("a0", "a1", "a2")

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.comparison import Judged
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import SETTLE_S, turning
@@ -16,8 +16,6 @@ from groundstation.identification.flight import LEAST_AIR_S
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import LEAST_S
-
-Array = NDArray[np.float64]
 
 PIECE_S = LEAST_AIR_S + SETTLE_S
 LONG_S = 3.0 * PIECE_S

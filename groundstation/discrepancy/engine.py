@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from groundstation.arrays import AXES
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.consistency import require_consistent
 from groundstation.comparison.gap import FURTHER_EVERY_S
@@ -61,7 +62,6 @@ from groundstation.report.result import Result
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""
 
-AXES = ("roll", "pitch", "yaw")
 MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
 STEPS_KEPT = 16
 """Of a proof, which has a model a step."""

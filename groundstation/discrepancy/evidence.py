@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.discrepancy.screening import cost_without, sizes_at
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import unseen_delay_s
@@ -24,8 +24,6 @@ from groundstation.identification.likelihood.spectra import (
     quadratic,
     white_rows,
 )
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 1.0
 """Longer than any residual is correlated once it is whitened."""

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.discrepancy.acceptance import LEAST_DROP, Shaken, shaken_refusal
 from groundstation.discrepancy.findings import Candidate, Findings, Refusal, with_last
 from groundstation.discrepancy.vibration import (
@@ -33,8 +33,6 @@ from groundstation.identification.likelihood.on_board import ON_BOARD
 from groundstation.identification.likelihood.parameters import Point
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.rotors import spin_rotors
-
-Array = NDArray[np.float64]
 
 
 def with_imbalance(findings: Findings, problem: Problem, point: Point) -> Findings:

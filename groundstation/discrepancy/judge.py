@@ -10,9 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from groundstation.comparison.comparison import Comparison
 from groundstation.discrepancy.findings import Predicted
 from groundstation.discrepancy.proof import LEFT, FittedRows
@@ -28,8 +25,6 @@ from groundstation.discrepancy.slow_disturbance import (
 from groundstation.discrepancy.weight import Weight, weight
 from groundstation.dynamics.model import Model
 from groundstation.identification.likelihood.parameters import Point
-
-Array = NDArray[np.float64]
 
 CLEARLY_T = 2.0
 """Standard errors by which a channel is worse beside what is followed. There one is no reason: how

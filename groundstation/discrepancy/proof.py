@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
@@ -22,8 +22,6 @@ from groundstation.discrepancy.findings import (
 )
 from groundstation.dynamics.model import Disturbance, Model
 from groundstation.telemetry.masks import filled
-
-Array = NDArray[np.float64]
 
 GIVEN, BASE = "given model", "base constants"
 """Names of the first steps of a proof."""

@@ -7,8 +7,8 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from groundstation.discrepancy.report_json import CandidateTried
 
-Array = NDArray[np.float64]
 
 LARGEST_RATIO = 10.0
 """Where the colours of a map end: what is beyond is wrong at a look anyway."""

@@ -11,8 +11,8 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.unknowns import Key
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.parameters import (
@@ -24,8 +24,6 @@ from groundstation.identification.likelihood.parameters import (
 )
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem, bounded
 from groundstation.identification.likelihood.spectra import Quadratic
-
-Array = NDArray[np.float64]
 
 PENALTY = 8.0
 """For each parameter, in -2 log L: the logarithm of some 3000 independent values (Schwarz 1978)."""

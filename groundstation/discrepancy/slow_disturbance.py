@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
 from groundstation.discrepancy.acceptance import LEAST_SURE, is_significant
@@ -25,8 +26,6 @@ from groundstation.dynamics.model import Disturbance, Estimate, Model, model_veh
 from groundstation.dynamics.registry import DISTURBANCE
 from groundstation.identification.likelihood.prior import trim_of
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 BLOCK_S = 0.5
 """Ten times the horizon, which neighbours share at their edges; a circle takes five seconds."""

@@ -6,13 +6,11 @@ from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.discrepancy.acceptance import DROP_PER_PARAMETER, LEAST_DROP, plausible
 from groundstation.discrepancy.screening import UNDETERMINED
 from groundstation.identification.likelihood.parameters import Point, Variant, absent
-
-Array = NDArray[np.float64]
 
 RIDGE = 1e-9
 """Share of a column's power that is added to it: two that are alike have an inverse."""

@@ -7,11 +7,9 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.discrepancy.proof import LEAST_SHARE, LEFT
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

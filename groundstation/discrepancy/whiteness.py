@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.findings import Leftover
 from groundstation.identification.estimate import inverse
@@ -28,8 +28,6 @@ from groundstation.identification.likelihood.spectra import (
     transform_channel,
 )
 from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S
-
-Array = NDArray[np.float64]
 
 SCAN_DROP = 45.0
 """Drop of -2 log L from which a generic signal counts: 6.7 standard deviations."""

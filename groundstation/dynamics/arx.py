@@ -8,14 +8,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.origin import FITTED, origin_of
 from groundstation.errors import BadInputError
 
-Array = NDArray[np.float64]
 SLOPE_ROWS = 2
 """An angle's slope is taken over so many rows: the firmware refreshes it every second one."""
-AXES = ("roll", "pitch", "yaw")
 Turning = Literal["body", "arx"]
 """What of a model turns the craft: the equations of its body, or its ARX polynomials."""
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts
 from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.simulation import specific_force
 from groundstation.dynamics.state import craft_state
-
-Array = NDArray[np.float64]
 
 HOVER_ROUNDS = 3
 """Thrust goes with the square of the speed but for what effects add to it: each round leaves less

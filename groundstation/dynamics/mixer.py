@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
+
 Configuration = Literal["plus", "x"]
 
 PWM_FULL = 4096.0

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from groundstation.arrays import Array
 from groundstation.dynamics.vehicle import MotorConstants, Motors
 
-Array = NDArray[np.float64]
 REVOLUTION = 2 * math.pi
 
 

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
-
-Array = NDArray[np.float64]
 
 SIZE_RAD, SETTLE_S, HOLD_S = np.radians(10.0), 1.0, 0.5
 SINE_HZ, SINE_PERIODS = 1.0, 3

@@ -9,9 +9,9 @@ Every function works on any leading shape.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
 
 
 def rotation_matrix(attitude: ArrayLike) -> Array:

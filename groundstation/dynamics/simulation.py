@@ -10,13 +10,12 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts
 from groundstation.dynamics.state import STATES
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
-
-Array = NDArray[np.float64]
 
 
 def simulate(

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from groundstation.arrays import AXES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.text import listed
 
-AXES = ("roll", "pitch", "yaw")
 CONSTANT = dict(zip(AXES, ("c0", "c1", "c2"), strict=True))
 DESIGN, MOST_STDERR = 0.1, 0.15
 """Standard errors over the value: up to which a constant bears a design as it is, and beyond which

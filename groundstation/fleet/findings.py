@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, ROTORS, WORDS
 from groundstation.fleet.parts import Row
 from groundstation.fleet.population import (
@@ -21,8 +21,6 @@ from groundstation.fleet.population import (
     population,
     scatter_variance,
 )
-
-Array = NDArray[np.float64]
 
 FALSE_SHARE = 0.05
 """At most this share of what is named is chance; a fleet without faults is wronged in as many."""

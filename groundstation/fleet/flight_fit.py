@@ -10,8 +10,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.fleet.facts import fetched
 from groundstation.fleet.gather import MADE_BY, with_reason
 from groundstation.fleet.parts import Row
@@ -20,7 +20,6 @@ from groundstation.paths import digest
 if TYPE_CHECKING:
     from groundstation.identification.stretches import Stretch
 
-Array = NDArray[np.float64]
 
 CONSTANTS = ("c0", "c1", "c2", "thrust_per_mass")
 ROTORS = ("rotor_1", "rotor_2", "rotor_3", "rotor_4")

@@ -11,14 +11,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import LEAST_S, Stretch
 
-Array = NDArray[np.float64]
 Span = tuple[int, int]
 
 LAST, IN_PIECES = "last third", "last third of each third"

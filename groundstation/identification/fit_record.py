@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.model import EffectTerm, Estimate, Model
 from groundstation.dynamics.origin import with_origin
 from groundstation.identification.arx.residual_tests import (
@@ -23,7 +23,6 @@ from groundstation.report.result import Result
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 TOLD = 3.0
 """Standard errors from which a lag is told from none."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.rotations import (
     attitude_of_matrix,
     quaternion_of_attitude,
@@ -21,7 +22,6 @@ from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run, require_known
 from groundstation.identification.torque import RotorSquares, measured_squares
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 LEAST_AIR_S = 4.0

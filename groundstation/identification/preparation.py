@@ -7,21 +7,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.rotor_speed import GateReading, speed_from_gate
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
-from groundstation.identification.torque import AXES
 from groundstation.report.channels import against, lines, points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 BENCH_S, FLOWN_S = 8.0, 4.0
 TORQUE = "u', (rev/s)^2"

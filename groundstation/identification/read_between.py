@@ -8,9 +8,8 @@ judged there and nowhere else.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
 
 BANDS = (0.94, 1.0), (0.6, 0.8)
 """Over half the row rate: where a mean of two readings leaves nothing, where it leaves a fifth."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.identification.flight import Flight
-
-Array = NDArray[np.float64]
 
 NOISE_FROM = 0.6
 """Share of half the rate of fresh readings from which a motor does nothing that is seen: what is

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from groundstation.dynamics.motor import each_motor
 from groundstation.dynamics.vehicle import MotorConstants, Motors
@@ -16,8 +15,6 @@ from groundstation.identification.runs import Run, require_known
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.identification.torque import RotorSquares, measured_squares, rotor_squares
 from groundstation.telemetry.masks import spans
-
-Array = NDArray[np.float64]
 
 LEAST_S, PIECE_S = 4.0, 1.0
 """Shortest sum of stretches, and shortest stretch, worth identifying on."""

@@ -8,9 +8,8 @@ the stand-in of today's Brushless by 11 mV rms, alternating as the settings do.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
 
 
 class SupplyAnswer:

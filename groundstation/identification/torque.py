@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.dynamics.motor import armature_mv, simulate_motor, steady_rev_s
 from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run, require_known
 
-Array = NDArray[np.float64]
-
-AXES = ("roll", "pitch", "yaw")
 SMOOTH_S = 0.018
 SATURATED = 0.995
 """Duty above which a motor gives all it has."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.identification.airborne import flights_in
 from groundstation.identification.flight import Flight, quaternion_rows
 from groundstation.identification.runs import Run
 from groundstation.prediction.start_velocity import start_velocity
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 LEAK_S, LEANING_LEAK_S = 16.0, 4.0
 """Velocity is known over times shorter than this, with an attitude that is right; with one that

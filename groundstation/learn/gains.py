@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.arrays import AXES
 from groundstation.control.design import RMS
 from groundstation.control.firmware_design import cascade_limits, closest_cascade
-from groundstation.control.pid import AXES
 from groundstation.control.programme import Programme
 from groundstation.control.search import Budget
 from groundstation.control.step_analysis import Flown, FlownAxis

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.arrays import AXES
 from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.flight_watch import AWAY, FAST
 from groundstation.control.gains_file import gains_text, load_gains
-from groundstation.control.pid import AXES
 from groundstation.control.programme import BEGINS, BY_HAND, LANDS, TILTED, TURNED
 from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.documents import read_document

@@ -13,10 +13,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.rotations import body_rates
 from groundstation.telemetry.masks import filled
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Walk = tuple[float, float, float]
 

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts, craft_of_model
 from groundstation.dynamics.hover import settled_rev_s
 from groundstation.dynamics.law import FAR_M
@@ -22,7 +23,6 @@ from groundstation.prediction.battery_rhythm import between_readings
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
 from groundstation.telemetry.masks import spans
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 TURNING = 0.1

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.telemetry.masks import filled
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FROM_HZ = 50.0

@@ -11,10 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 KNOWN_S = 6.0
 """Height is known for so long after the motors' start and at most so long before they stop: to some

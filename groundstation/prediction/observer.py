@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts, craft_of_model
 from groundstation.dynamics.hover import hover_rev_s
 from groundstation.dynamics.law import FAR_M
@@ -25,7 +26,6 @@ from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, STAT
 from groundstation.errors import BadInputError
 from groundstation.prediction.riccati import Row, settled
 
-Array = NDArray[np.float64]
 Places = NDArray[np.intp]
 
 ERRORS = 12

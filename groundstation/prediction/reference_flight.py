@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.hover import duties_for, hover_rev_s
 from groundstation.dynamics.model import Model
@@ -24,8 +24,6 @@ from groundstation.dynamics.state import QUATERNION, RATE, ROTOR, attitude_of, c
 from groundstation.errors import BadInputError
 from groundstation.prediction.drive import Drive, drive_run
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 ANGLE_RAD_S, ANGLE_DAMPING, ANGLE_INTEGRAL = 7.0, 0.9, 40.0
 HEIGHT_RAD_S, HEIGHT_DAMPING = 3.0, 1.0

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
 
 DOUBLINGS = 13
 """16 s of rows at 500 Hz: three times that in which a velocity that nothing measures settles."""

@@ -8,13 +8,11 @@ it is: over some seconds its velocity is zero on average, to its travel in that 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 LEVEL_S, LEAST_S = 8.0, 2.0
 """Over so much of a flight the mean is taken: a craft that travels 2 m in it is judged 0.25 m/s

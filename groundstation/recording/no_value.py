@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.plausibility import KINDS
 from groundstation.telemetry.masks import spans
 from groundstation.telemetry.samples import SampleBatch
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FAR = {

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.rotations import body_rates
 from groundstation.recording.channels import CHANNELS
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

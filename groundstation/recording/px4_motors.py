@@ -12,13 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.recording.motor_columns import changes
 from groundstation.recording.px4_outputs import crowd_of, motors_among, range_of
 from groundstation.recording.series import Series
 
-Array = NDArray[np.float64]
 Parameters = Mapping[str, float]
 
 NAME = "quadrotor_motors"

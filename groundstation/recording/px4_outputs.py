@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.recording.motor_columns import MOVES, changes, too_many
 
-Array = NDArray[np.float64]
 Parameters = Mapping[str, float]
 
 MOTOR_1, MOTORS = 101, 12

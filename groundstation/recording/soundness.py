@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.errors import BadInputError
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.column_map import UNCLEAR_METADATA
@@ -22,7 +23,6 @@ from groundstation.telemetry.masks import spans
 from groundstation.telemetry.renewal import renewals
 from groundstation.telemetry.samples import OVERDRIVEN, SampleBatch
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 REJECTED_METADATA = "taken as missing"

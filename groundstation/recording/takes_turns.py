@@ -13,9 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 LOOKED_AT = 4000
 """First rows of a table in which columns are looked at."""

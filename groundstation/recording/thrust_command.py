@@ -13,11 +13,9 @@ import re
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 FULL_THRUST_G, V_PER_G, V_PER_G2 = 60.0, 0.088, -0.0006239
 """The firmware's compensation, of one motor (motors.c before November 2022)."""

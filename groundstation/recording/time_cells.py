@@ -10,9 +10,8 @@ from functools import lru_cache
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
 
 DAY_S, HOUR_S = 86_400.0, 3600.0
 CELLS = 20

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S, TICK_S
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 PERIOD_TOLERANCE, SINGLE_STEPS = 0.05, 0.02
 """How far a step of the telemetry may be from 2 ms, and which share of such steps tells it."""

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import THESIS, Model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.fit_record import liveliest
@@ -15,11 +15,10 @@ from groundstation.identification.replayed import angle_rms, simulate_run
 from groundstation.report.page import Cell
 from groundstation.thesis.drawing import overlay
 from groundstation.thesis.entry import Entry, Made, Table
-from groundstation.thesis.flight import AXES, longest
+from groundstation.thesis.flight import longest
 from groundstation.thesis.printed import BODY_RMS
 from groundstation.thesis.workshop import Workshop
 
-Array = NDArray[np.float64]
 WINDOWS_S = (0.5, 2.0)
 DRAWN_S = 6.0
 FILES = {"identification": "flight.csv", "validation": "held.csv"}

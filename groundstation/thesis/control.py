@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.arrays import AXES
 from groundstation.control.evaluate import evaluate
 from groundstation.control.gains_file import load_gains
 from groundstation.control.linear_loop import run_direct
-from groundstation.control.pid import AXES
 from groundstation.control.thesis_tables import (
     FINDING,
     GAINS,

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.report.figure import figure, thinned
 from groundstation.report.theme import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from groundstation.identification.arx.residual_tests import CorrelationTest
 
-Array = NDArray[np.float64]
 LOST = (-3.0, 5.0)
 """A response over its step that leaves these bounds is not drawn further."""
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import model_vehicle, rotor_motors
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.fit_record import liveliest
@@ -17,8 +17,6 @@ from groundstation.report.channels import against, lines
 from groundstation.thesis.entry import Entry, Made
 from groundstation.thesis.workshop import Workshop
 
-Array = NDArray[np.float64]
-AXES = ("roll", "pitch", "yaw")
 EXAMPLE_S = 4.0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from groundstation.arrays import AXES
 from groundstation.attitude.axis_check import check_axes
 from groundstation.attitude.axis_report import axis_figure
 from groundstation.attitude.fusion import fuse
@@ -11,7 +12,6 @@ from groundstation.attitude.fusion_report import angles_figure
 from groundstation.thesis.entry import Entry, Made, Table
 from groundstation.thesis.workshop import Workshop
 
-AXES = ("roll", "pitch", "yaw")
 METHODS = {
     "integrated": "gyro integrated (6.3-6.6)",
     "complementary": "complementary (6.7-6.10), W = 0.998",

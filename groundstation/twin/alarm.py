@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.twin.rolling import Block
 from groundstation.twin.signals import KINDS, SHARED, Place
-
-Array = NDArray[np.float64]
 
 LIMIT = 7.0
 """Standard deviations. Chance: see docs/twin.md for the rate that was measured."""

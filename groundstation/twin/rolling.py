@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.gap import HORIZONS_S
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.sensors import sensors_of_model
@@ -27,7 +28,6 @@ from groundstation.telemetry.samples import SampleBatch
 from groundstation.twin.rows import RHYTHM_ROWS, Piece, Rows, period_of, unbroken
 from groundstation.twin.signals import KINDS, SHARED, Drives, Memory, entries
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 BLOCK_S = 0.5

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import LONGEST_GAP_S
 from groundstation.identification.runs import FASTEST_HZ, both_settings
@@ -16,8 +16,6 @@ from groundstation.identification.supply_answer import SupplyAnswer, at_the_rows
 from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
-
-Array = NDArray[np.float64]
 
 SLOWEST_HZ = 200.0
 """Slower telemetry has too few rows in half a second to be judged."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.dynamics.law import SPIN
 from groundstation.dynamics.mixer import MIXERS, Configuration
@@ -25,8 +25,6 @@ from groundstation.dynamics.rotations import matrix_of_quaternion
 from groundstation.dynamics.state import QUATERNION, RATE, VELOCITY
 from groundstation.prediction.prediction import Observed
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 BRAKING_S = 0.05
 """A small motor with its propeller settles within about this time."""

@@ -7,16 +7,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.model import Model, require_body
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 from groundstation.twin.alarm import Episode, Judge
 from groundstation.twin.rolling import Block, Rolling
 from groundstation.twin.signals import allowances
-
-Array = NDArray[np.float64]
 
 QUIET = 0.35
 """Quantile of the blocks' variances that counts as noise: a disagreement shows in some blocks

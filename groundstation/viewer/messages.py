@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.links.event import LinkEvent
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
@@ -17,7 +17,6 @@ from groundstation.telemetry.statistics import LinkStatistics
 if TYPE_CHECKING:
     from groundstation.twin.twin import Shown
 
-Array = NDArray[np.float64]
 
 MAX_ROWS = 1000
 """Samples per message: about 100 kB, well below the smallest usual socket buffer."""

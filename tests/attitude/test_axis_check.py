@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.attitude.axis_check import (
-    AXES,
-    check_axes,
-)
+from groundstation.arrays import AXES
+from groundstation.attitude.axis_check import check_axes
 from groundstation.errors import BadInputError
 from support.flights import recorded
 

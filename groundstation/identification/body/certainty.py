@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.registry import DELAY
 from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, Setup
 from groundstation.identification.estimate import inverse
@@ -19,7 +19,6 @@ from groundstation.identification.runs import Run
 from groundstation.identification.speed_noise import speed_spectrum
 from groundstation.telemetry.packet import FULL_16_BIT
 
-Array = NDArray[np.float64]
 Known = tuple[Point, Array]
 """Estimates and their covariance (p, p)."""
 

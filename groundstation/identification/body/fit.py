@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.model import BodyConstants
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.unknowns import to_stderr, to_values
@@ -66,8 +66,6 @@ from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.stretches import Stretch, paced
-
-Array = NDArray[np.float64]
 
 TRIAL_STEP_S, TRIED_S, TRIED_LAG_S = 2e-3, 0.016, 3e-3
 """Delays some ms apart can predict almost equally well: each is tried, the best are followed."""

@@ -12,9 +12,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.arrays import Array
+
 Learnt = tuple[Array, Array]
 """Normal matrix (m, m) and right-hand side (m,) of the regression, sums over rows."""
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
@@ -18,9 +18,6 @@ from groundstation.identification.likelihood.free_spectra import FreeFit
 from groundstation.identification.likelihood.parameters import Point, value
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
-from groundstation.identification.torque import AXES
-
-Array = NDArray[np.float64]
 
 CLEAR = 6.0
 """Standard errors from which an effect that was left out is worth a word."""

@@ -13,8 +13,8 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.effect import CANDIDATES, GYRO, Role
 from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP
@@ -33,8 +33,6 @@ from groundstation.identification.motor.supply import LAG, SAG
 from groundstation.identification.stretches import Stretch
 from groundstation.identification.velocity import velocity_in
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 GAINS = ("c0", "c1")
 CONSTANTS = (*GAINS, "c2")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.identification.body.fit import BodyFit, vertical
 from groundstation.identification.body.foretelling import foretold, learnt
 from groundstation.identification.body.setup import Setup, on_other
@@ -14,9 +14,6 @@ from groundstation.identification.estimate import fit_percent, rms
 from groundstation.identification.likelihood.free_spectra import minimum_phase_whitener
 from groundstation.identification.likelihood.parameters import Point
 from groundstation.identification.stretches import Stretch
-from groundstation.identification.torque import AXES
-
-Array = NDArray[np.float64]
 
 HORIZONS_S = (0.02, 0.05)
 SHAKEN_S = 0.05

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_motors, with_motor
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP, at_stage
 from groundstation.dynamics.vehicle import Vehicle
@@ -51,10 +51,8 @@ from groundstation.identification.preparation import flight_preparation
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import Stretch, paced, quicker, stretches_of
-from groundstation.identification.torque import AXES, by_saturation
+from groundstation.identification.torque import by_saturation
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 AHEAD_S, DRAWN_S = 0.02, 3.0
 KNOCK_G = 4.0

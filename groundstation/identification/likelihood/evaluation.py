@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.effect import Stage
 from groundstation.dynamics.law import SPIN, Craft
 from groundstation.identification.attitude_rows import FIRMWARE_GAIN
@@ -34,7 +34,6 @@ from groundstation.identification.likelihood.sensing import (
 from groundstation.identification.read_between import mean_between
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
-Array = NDArray[np.float64]
 Columns = dict[int, Array]
 """Channel (0..8 as in ``comparison.channels``) -> rows."""
 

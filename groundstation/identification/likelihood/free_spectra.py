@@ -15,14 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.identification.estimate import bounded_step
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import Point, value
 from groundstation.identification.likelihood.spectra import Spectrum
-
-Array = NDArray[np.float64]
 
 HALF_WIDTH_HZ, LEAST_BINS = 0.8, 4
 """Half the width of the moving mean over a periodogram, and its least number of bins to a side: the

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.effect import Effect, Stage
 from groundstation.dynamics.law import VALUE_SLOTS, Body, Craft, Reading
 from groundstation.dynamics.unknowns import Key, to_values
-
-Array = NDArray[np.float64]
 
 STEPS_PER_RADIAN = 2.0
 """Steps of the integrator over the time constant of the fastest state: Runge-Kutta is then right

@@ -6,16 +6,14 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ACCELEROMETER, ATTITUDE, Columns
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import Point
 from groundstation.identification.likelihood.residuals import Series, evaluate
 from groundstation.identification.likelihood.spectra import Spectrum, Vertical, transform
-
-Array = NDArray[np.float64]
 
 END_SPEED_M_S = 0.3
 """Vertical speed that what was recorded of a flight may end with, on the ground as well: a

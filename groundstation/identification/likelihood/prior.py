@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.registry import DELAY, SPIN_UP
 from groundstation.dynamics.vehicle import Vehicle
@@ -23,8 +23,6 @@ from groundstation.identification.likelihood.parameters import (
     point_of,
 )
 from groundstation.telemetry.packet import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
 """Relative standard error of a0, a1, a2 where the model does not say, and the least believed."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.unknowns import Key
@@ -46,8 +46,6 @@ from groundstation.identification.likelihood.spectra import (
     trimmed,
     whiten_by_own,
 )
-
-Array = NDArray[np.float64]
 
 BASE_KEYS = (*BODY_KEYS, *MOTOR_KEYS, TIMING)
 NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.craft import add_effects
 from groundstation.dynamics.law import Craft, Supply
 from groundstation.dynamics.model import rotor_motors
@@ -18,8 +18,6 @@ from groundstation.identification.likelihood.laws import Acting, in_order
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, value
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import squares_between
-
-Array = NDArray[np.float64]
 
 SUBSTEPS = 1
 FASTEST_REV_S = 2000.0

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.effect import ANGLES, Role
 from groundstation.dynamics.law import FAR_M, Body, Craft, Reading
 from groundstation.identification.likelihood.laws import Acting
@@ -32,8 +33,6 @@ from groundstation.identification.likelihood.motion import (
     one_before,
     stacked,
 )
-
-Array = NDArray[np.float64]
 
 PROBE = 1e-3
 """Step of the differences in SI: small beside what a sensor reads in flight."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ATTITUDE
 from groundstation.identification.likelihood.residuals import Series
 
-Array = NDArray[np.float64]
 TAPER = 0.03
 """Share of a flight over which it fades in and out."""
 FIRST_BAND_HZ, WIDEST_BAND_HZ, GROWTH = 0.4, 3.0, 1.1

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.motor import armature_mv
 from groundstation.dynamics.registry import EFFECTS as CATALOGUE
 from groundstation.dynamics.vehicle import MotorConstants
@@ -30,8 +31,6 @@ from groundstation.identification.motor.problem import (
 )
 from groundstation.identification.motor.rotor_speed import speed_from_gate
 from groundstation.identification.runs import Run, require_known
-
-Array = NDArray[np.float64]
 
 NAMES = ("a0", "a1", "a2", "delay_s")
 LEAST_READINGS = 200

@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.motor import armature_mv, simulate_motor
 from groundstation.dynamics.vehicle import MotorConstants, mean_motor
@@ -33,7 +33,6 @@ from groundstation.identification.motor.rotors import (
 )
 from groundstation.identification.runs import Run, require_known
 
-Array = NDArray[np.float64]
 Four = list[MotorRun | None]
 """What the sensors of M1..M4 show in one run; None for one that does not work."""
 

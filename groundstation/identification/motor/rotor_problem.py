@@ -24,6 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
@@ -36,8 +37,6 @@ from groundstation.identification.motor.problem import (
     MotorProblem,
     MotorRun,
 )
-
-Array = NDArray[np.float64]
 
 PIECE_S = 10.0
 """Pieces of flights: their scores scatter as the estimate does, and each may have a U of its own.

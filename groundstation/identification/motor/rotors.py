@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.vehicle import MotorConstants, Motors, mean_motor
 from groundstation.errors import BadInputError
@@ -27,8 +28,6 @@ from groundstation.identification.motor.rotor_problem import (
     constants_of,
     shape_of,
 )
-
-Array = NDArray[np.float64]
 
 UNKNOWN = 0.6
 """Standard error of ln T from which a time constant is not identified (as in the bench's fit)."""
