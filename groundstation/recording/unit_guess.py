@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
-Numbers = NDArray[np.float64]
 RATES_HZ, USUAL_HZ = (1.0, 10_000.0), 100.0
 """Rows a second of any log, and of most."""
 GYRO_RAD_S = 35.0
@@ -26,7 +25,7 @@ _DUTY = (
 )
 
 
-def unit_of(quantity: str, columns: Sequence[Numbers]) -> tuple[str, str]:
+def unit_of(quantity: str, columns: Sequence[Array]) -> tuple[str, str]:
     """The likeliest unit of a quantity's columns, and why in a few words."""
     rows = min((len(one) for one in columns), default=0)
     values = np.concatenate([one[np.isfinite(one)] for one in columns] or [np.empty(0)])
@@ -62,7 +61,7 @@ _USUAL = {
 }
 
 
-def goes_on(values: Numbers) -> bool:
+def goes_on(values: Array) -> bool:
     """Whether a column can be a clock: it hardly ever goes back, and it moves."""
     known = values[np.isfinite(values)]
     if len(known) < 2 or len(known) < 0.9 * len(values):
@@ -71,15 +70,13 @@ def goes_on(values: Numbers) -> bool:
     return bool((steps >= 0).mean() > 0.9 and (steps > 0).any())
 
 
-def is_count(values: Numbers) -> bool:
+def is_count(values: Array) -> bool:
     """Whether a column numbers the rows."""
     steps = np.diff(values)
     return len(steps) > 0 and bool((steps == steps[0]).all()) and abs(steps[0]) == 1
 
 
-def ratio(
-    angle: Numbers, angle_s: Numbers, rate: Numbers, rate_s: Numbers
-) -> tuple[float, float] | None:
+def ratio(angle: Array, angle_s: Array, rate: Array, rate_s: Array) -> tuple[float, float] | None:
     """How fast an angle turns over what a gyro says, in their own units, and their correlation;
     None where that cannot be told. Angles beyond a turn's half are taken to jump."""
     known = np.isfinite(rate) & np.isfinite(rate_s)
@@ -120,13 +117,13 @@ def nearest(measured: float, sizes: Mapping[str, float]) -> tuple[str, float]:
     return unit, float(np.exp(off[unit]))
 
 
-def points_down(z: Numbers) -> bool:
+def points_down(z: Array) -> bool:
     """Whether an accelerometer's z reads gravity the other way round."""
     known = z[np.isfinite(z)]
     return len(known) > 0 and float(np.median(known)) < -0.5 * float(np.abs(known).mean()) < 0
 
 
-def _time(values: Numbers) -> tuple[str, str]:
+def _time(values: Array) -> tuple[str, str]:
     steps = np.diff(values[np.isfinite(values)])
     steps = steps[steps > 0]
     if not len(steps):
@@ -137,7 +134,7 @@ def _time(values: Numbers) -> tuple[str, str]:
     return unit, f"a row every {step:.6g}: {rates[unit]:.4g} Hz"
 
 
-def _gyro(values: Numbers, most: float) -> tuple[str, str]:
+def _gyro(values: Array, most: float) -> tuple[str, str]:
     usual = float(np.percentile(np.abs(values), 99))
     if most > 5000:
         return "counts", f"to {most:.0f}: too fast for deg/s"
@@ -148,7 +145,7 @@ def _gyro(values: Numbers, most: float) -> tuple[str, str]:
     return "deg/s", f"to {most:.3g}; may be rad/s"
 
 
-def _force(values: Numbers) -> tuple[str, str]:
+def _force(values: Array) -> tuple[str, str]:
     """By the length of the vector, or what its longest part is."""
     length = np.linalg.norm(values, axis=1)
     length = length[np.isfinite(length)]
@@ -164,7 +161,7 @@ def _force(values: Numbers) -> tuple[str, str]:
     return unit, f"mean {mean:.4g}: gravity in {unit}"
 
 
-def _duty(values: Numbers, most: float) -> tuple[str, str]:
+def _duty(values: Array, most: float) -> tuple[str, str]:
     least = float(values.min())
     for limit, unit, why in _DUTY:
         if most <= limit:
