@@ -90,8 +90,8 @@ def divided(
     held_out: list[Stretch] = []
     lengths = [len(one) for one in stretches]
     for one, (fitted, held) in zip(stretches, cut(way, lengths), strict=True):
-        for found, spans in ((fit_on, fitted), (held_out, held)):
-            found += [replace(one, first=one.first + a, last=one.first + b) for a, b in spans]
+        for found, cuts in ((fit_on, fitted), (held_out, held)):
+            found += [replace(one, first=one.first + a, last=one.first + b) for a, b in cuts]
     return fit_on, held_out, way
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 
 from groundstation.recording.map_document import UNITS
 from groundstation.recording.table_header import base_name
@@ -90,8 +91,8 @@ class Group:
 
     quantity: str
     weight: float
-    places: dict[str, int] = field(default_factory=dict)
-    many: dict[int, int] = field(default_factory=dict)
+    places: dict[str, int] = dataclass_field(default_factory=dict)
+    many: dict[int, int] = dataclass_field(default_factory=dict)
 
 
 def groups_of(names: Sequence[str]) -> list[Group]:

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,8 +146,8 @@ def _is_ros1(path: Path) -> bool:
 @dataclass(slots=True)
 class _Topic:
     type: str
-    came_ns: list[int] = field(default_factory=list)
-    rows: list[dict[str, float]] = field(default_factory=list)
+    came_ns: list[int] = dataclass_field(default_factory=list)
+    rows: list[dict[str, float]] = dataclass_field(default_factory=list)
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """Each number that any message has; NaN where one has it not."""

@@ -90,8 +90,8 @@ def refusal(name: str, values: Sequence[str]) -> str:
     more = f" and {len(values) - SHOWN} more" if len(values) > SHOWN else ""
     return (
         f"rows of {len(values)} crafts or sensors: column {name!r} takes turns between"
-        f" {', '.join(values[:SHOWN])}{more}; make a file of one: groundstation convert FILE"
-        f" ONE.mcap --only {name}={values[0]}"
+        f" {', '.join(values[:SHOWN])}{more}; make a file of one: groundstation convert"
+        f" FILE ONE.mcap --only {name}={values[0]}"
     )
 
 
