@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation import Client, socket_path
-from groundstation.cli import config, motors, page
 from groundstation.cli.command_group import Commands
+from groundstation.cli.config import add_commands as add_config
 from groundstation.cli.model_files import AS_JSON
+from groundstation.cli.motors import add_commands as add_motors
+from groundstation.cli.page import add_commands as add_page
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import show, show_json
 from groundstation.links.names import KINDS
@@ -39,9 +41,9 @@ def add_commands(app: typer.Typer) -> None:
     app.command("events")(events)
     app.command("link")(link)
     app.add_typer(record, name="record")
-    motors.add_commands(app)
-    page.add_commands(app)
-    config.add_commands(app)
+    add_motors(app)
+    add_page(app)
+    add_config(app)
 
 
 def status(

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from groundstation.arrays import Array
 from groundstation.recording.column_names import ORDER, PARTS, Group, groups_of, unit_in_name
 from groundstation.recording.map_document import UNITS
 from groundstation.recording.time_cells import FRACTION
 from groundstation.recording.unit_guess import (
     ALIKE,
-    Numbers,
     goes_on,
     is_count,
     nearest,
@@ -43,8 +43,8 @@ class FileColumn:
     name: str
     reference: str | int
     unit: str = ""
-    values: Numbers = field(default_factory=lambda: np.empty(0))
-    time_s: Numbers | None = None
+    values: Array = field(default_factory=lambda: np.empty(0))
+    time_s: Array | None = None
 
     @property
     def has_numbers(self) -> bool:
@@ -208,7 +208,7 @@ def _by_numbers(columns: Sequence[FileColumn], taken: set[int]) -> Iterator[tupl
                 break
 
 
-def _clock(found: Mapping[str, Guess], column: FileColumn) -> Numbers | None:
+def _clock(found: Mapping[str, Guess], column: FileColumn) -> Array | None:
     """When a column's rows were taken, s; None where the file has no clock."""
     if column.time_s is not None:
         return column.time_s
