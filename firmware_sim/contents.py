@@ -161,9 +161,15 @@ def supervisor_bits(state: CraftState) -> int:
     """Can be armed, is armed, arms itself, can fly, flies, has tumbled, is locked, has crashed."""
     at = state.supervisor
     bits = (
-        at == PASSED, state.armed, state.arms_itself, at in CAN_FLY, at in (FLYING, LEVEL_OUT),
-        state.tumbled, at == LOCKED, at == CRASHED,
-    )  # fmt: skip
+        at == PASSED,
+        state.armed,
+        state.arms_itself,
+        at in CAN_FLY,
+        at in (FLYING, LEVEL_OUT),
+        state.tumbled,
+        at == LOCKED,
+        at == CRASHED,
+    )
     return sum(bit << place for place, bit in enumerate(bits))
 
 

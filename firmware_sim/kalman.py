@@ -194,7 +194,7 @@ def _correct(fw: Record, model: Any, error: float, std: float) -> None:
         total += model[i] * shared[i]
     for i in range(6):
         fw.kalman_state[i] += shared[i] / total * error
-    _turn(fw, *(shared[TILT] / total * error, shared[7] / total * error, shared[8] / total * error))
+    _turn(fw, shared[TILT] / total * error, shared[7] / total * error, shared[8] / total * error)
     for i in range(STATES):
         for j in range(STATES):
             variance[i, j] -= shared[i] * shared[j] / total

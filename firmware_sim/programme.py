@@ -236,14 +236,14 @@ def _signal(
         index = np.clip(np.searchsorted(corners, time, side="right") - 1, 0, 4)
         share = (time - corners[index]) / (corners[index + 1] - corners[index])
         smooth = 0.5 - 0.5 * np.cos(math.pi * share)
-        return np.asarray(levels[index] + (levels[index + 1] - levels[index]) * smooth)
+        return levels[index] + (levels[index + 1] - levels[index]) * smooth
     if excitation.shape == "multisine":
         lines = np.geomspace(low, high, 8)
         phases = generator.uniform(0, 2 * math.pi, len(lines))
         waves = np.sin(2 * math.pi * lines[:, None] * time + phases[:, None])
-        return np.asarray(size * waves.sum(0) / math.sqrt(len(lines) / 2))
+        return size * waves.sum(0) / math.sqrt(len(lines) / 2)
     levels = generator.uniform(-size, size, int(window / period) + 2)
-    return np.asarray(levels[(time / period + 1e-9).astype(int)])
+    return levels[(time / period + 1e-9).astype(int)]
 
 
 def _excite(axis: str, shape: str, amplitude: float, **more: float) -> Excitation:

@@ -144,4 +144,4 @@ def _smooth(signals: Array, time: Array, window_s: float = 0.1) -> Array:
     width = max(1, round(window_s / float(np.median(np.diff(time)))))
     padded = np.pad(signals, ((width // 2, width - 1 - width // 2), (0, 0)), mode="edge")
     total = np.cumsum(np.vstack([np.zeros(signals.shape[1]), padded]), axis=0)
-    return np.asarray((total[width:] - total[:-width]) / width)
+    return (total[width:] - total[:-width]) / width

@@ -76,7 +76,10 @@ def compare(
             show(line, error=True)
         names = [one.name for one in read if one.runs]
         report = CompareReport(
-            *(found.places, gap_of(found, (found.further(), None)), names, model),
+            found.places,
+            gap_of(found, (found.further(), None)),
+            names,
+            model,
             turning,
             verdict(suitability(loaded)),
         )

@@ -33,8 +33,10 @@ def config(
     """
     found = settings(ConfigSource(file, assignments(assign)).load())
     if as_json:
-        keys = {each.name: {"value": each.value, "default": each.default, "text": each.text}
-                for each in found}  # fmt: skip
+        keys = {
+            each.name: {"value": each.value, "default": each.default, "text": each.text}
+            for each in found
+        }
         terminal.show_json(keys)
         return
     table = ""

@@ -86,7 +86,10 @@ def fit_motor(
 
     def identify(task: _Task, progress: Progress) -> Identified:
         return groundstation.fit_motor(
-            *(task.runs, task.held, task.before, task.vehicle),
+            task.runs,
+            task.held,
+            task.before,
+            task.vehicle,
             effect_names(effects),
             motor - 1,
             task.selection,
@@ -96,7 +99,10 @@ def fit_motor(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        *(vehicle, mass, model, segment),
+        vehicle,
+        mass,
+        model,
+        segment,
         motor_runs_in,
     )
 
@@ -125,7 +131,10 @@ def fit_body(
 
     def identify(task: _Task, progress: Progress) -> Identified:
         return groundstation.fit_body(
-            *(task.runs, task.held, task.before, task.vehicle),
+            task.runs,
+            task.held,
+            task.before,
+            task.vehicle,
             effect_names(effects),
             tie,
             measured,
@@ -136,7 +145,10 @@ def fit_body(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        *(vehicle, mass, model, segment),
+        vehicle,
+        mass,
+        model,
+        segment,
         bridged_runs_in,
     )
 
@@ -177,7 +189,10 @@ def fit_arx(
 
     def identify(task: _Task, progress: Progress) -> Identified:
         return groundstation.fit_arx(
-            *(task.runs, task.held, task.before, task.vehicle),
+            task.runs,
+            task.held,
+            task.before,
+            task.vehicle,
             Criterion(chosen),
             "gyro" if gyro else "attitude",
             decimate,
@@ -189,7 +204,10 @@ def fit_arx(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        *(vehicle, mass, model, segment),
+        vehicle,
+        mass,
+        model,
+        segment,
     )
 
 

@@ -275,9 +275,14 @@ class _Flight:
         moves = attitude is None and self._places
         try:
             answer = self._pilot.setpoint(
-                roll, pitch, yaw, 0, height_m=max(height_m, 0.0),
-                vx_m_s=velocity[0] if moves else None, vy_m_s=velocity[1] if moves else None,
-            )  # fmt: skip
+                roll,
+                pitch,
+                yaw,
+                0,
+                height_m=max(height_m, 0.0),
+                vx_m_s=velocity[0] if moves else None,
+                vy_m_s=velocity[1] if moves else None,
+            )
         except GroundStationError as error:
             if not str(error).endswith(TOO_OLD):
                 raise

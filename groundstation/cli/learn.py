@@ -259,8 +259,17 @@ def _sealed(shell: Shell, hide: int | None) -> str:
         return CRAFT
     command = shell.keep if (shell.folder / SEALED).exists() else shell.run
     command(
-        *("python", "-m", "firmware_sim.hide", "--settings", CRAFT, "--seed", str(hide)),
-        *("--effects", str(HIDDEN_EFFECTS[hide % len(HIDDEN_EFFECTS)]), "-o", SEALED),
+        "python",
+        "-m",
+        "firmware_sim.hide",
+        "--settings",
+        CRAFT,
+        "--seed",
+        str(hide),
+        "--effects",
+        str(HIDDEN_EFFECTS[hide % len(HIDDEN_EFFECTS)]),
+        "-o",
+        SEALED,
     )
     return SEALED
 

@@ -116,8 +116,7 @@ class FastPlace:
 
         flies: dict[str, Any] = {}
         if self.model:
-            flies = {"plant": "model", "craft": self.model, "effects": {},
-                     "estimated": True}  # fmt: skip
+            flies = {"plant": "model", "craft": self.model, "effects": {}, "estimated": True}
         return SoftwareCraft(self.source, CLIENT, seed=seed, **flies)
 
 

@@ -257,8 +257,12 @@ def convert(
     release: Release | None = "2014" if to == "firmware" else None
     write_new(output, gains_text(made, release, to if to == "whole" else None))
     if as_json:
-        told = {k: dict(zip(("kp", "ki", "kd"), g.as_tuple(), strict=True))
-                if isinstance(g, PidGains) else g for k, g in made.items()}  # fmt: skip
+        told = {
+            k: dict(zip(("kp", "ki", "kd"), g.as_tuple(), strict=True))
+            if isinstance(g, PidGains)
+            else g
+            for k, g in made.items()
+        }
         show_json({"from": kind, "to": to, "gains": told, "output": str(output)})
         return
     for name, value in made.items():

@@ -125,9 +125,11 @@ def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None
 
     plan = {
         **programme.as_dict(),
-        **{name: getattr(programme, name)
-           for name in ("seconds", "reach_m", "held_seconds", "held_reach_m")},
-    }  # fmt: skip
+        **{
+            name: getattr(programme, name)
+            for name in ("seconds", "reach_m", "held_seconds", "held_reach_m")
+        },
+    }
     if as_json:
         show_json({"programme": plan, "gains": wanted})
         return

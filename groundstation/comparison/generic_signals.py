@@ -125,7 +125,7 @@ def _leaky(values: Array, fade_s: float, period_s: float) -> Array:
     from scipy.signal import lfilter
 
     keep = float(np.exp(-period_s / fade_s))
-    return np.asarray(lfilter([period_s], [1.0, -keep], values, axis=0))
+    return lfilter([period_s], [1.0, -keep], values, axis=0)
 
 
 def _change(values: Array, period_s: float) -> Array:
@@ -137,7 +137,7 @@ def _past_mean(values: Array) -> Array:
     """Mean of the ``PAST_ROWS`` rows before each row."""
     total = np.cumsum(np.vstack([np.repeat(values[:1], PAST_ROWS + 1, axis=0), values]), axis=0)
     count = len(values)
-    return np.asarray((total[PAST_ROWS : PAST_ROWS + count] - total[:count]) / PAST_ROWS)
+    return (total[PAST_ROWS : PAST_ROWS + count] - total[:count]) / PAST_ROWS
 
 
 def _ground(motion: Motion) -> Array:

@@ -225,4 +225,4 @@ def _mean(values: Array, axis: int) -> Array:
     known = np.isfinite(values)
     count = known.sum(axis=axis)
     total = np.where(known, values, 0.0).sum(axis=axis)
-    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)

@@ -321,7 +321,7 @@ def _weighted(values: Array, weights: Array) -> Array:
     """Row k: sum over j of ``weights[j] values[k - j]``; values (n, m)."""
     from scipy.signal import lfilter
 
-    return np.asarray(lfilter(weights, [1.0], values, axis=0))
+    return lfilter(weights, [1.0], values, axis=0)
 
 
 def _angle_weights(count: int) -> Array:

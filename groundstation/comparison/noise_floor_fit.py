@@ -60,7 +60,7 @@ class _Bands:
         response = np.abs(np.polynomial.polynomial.polyval(z, noise.whitener)) ** 2
         total: Array = np.tensordot(response / noise.variance, self.gram, axes=1)
         keep = [*range(len(self.scale)), len(self.scale) + axis]
-        return np.asarray(total[np.ix_(keep, keep)])
+        return total[np.ix_(keep, keep)]
 
 
 def _bands(parts: Pieces) -> _Bands:
@@ -118,7 +118,7 @@ def _solve(gram: Array, columns: NDArray[np.int64]) -> Array:
     if not len(columns):
         return np.zeros(0)
     normal = gram[np.ix_(columns, columns)]
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ gram[columns, -1])
+    return np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ gram[columns, -1]
 
 
 def _select(gram: Array) -> NDArray[np.int64]:

@@ -122,7 +122,7 @@ def _strong(size: Array, flown: Mask, least: float) -> Mask:
     """Rows in which a size (n,) is among its largest in flight, and worth the name at all."""
     if not flown.any() or not np.isfinite(size).all():
         return np.zeros(len(size), bool)
-    return np.asarray(size > max(least, float(np.quantile(size[flown], STRONGEST))))
+    return size > max(least, float(np.quantile(size[flown], STRONGEST)))
 
 
 def _above(thrust: Array, flown: Mask, share: float) -> Mask:
@@ -138,7 +138,7 @@ def _after(strong: Mask, run: Run) -> Mask:
     rows = round(AFTER_S / run.period_s)
     count = np.cumsum(np.concatenate([[0], strong.astype(np.int64)]))
     index = np.arange(1, len(strong) + 1)
-    return np.asarray(count[index] > count[np.maximum(index - rows, 0)])
+    return count[index] > count[np.maximum(index - rows, 0)]
 
 
 def _smooth(signal: Array, rows: int) -> Array:

@@ -78,7 +78,7 @@ def _moving(speed: Array, period_s: float) -> Array:
     short, long = (
         uniform_filter1d(speed, max(round(seconds / period_s), 1), axis=0) for seconds in BAND_S
     )
-    return np.asarray(short - long)
+    return short - long
 
 
 def _settings(run: Run, speed: Array, model: Model) -> Array:

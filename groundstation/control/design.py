@@ -256,13 +256,13 @@ def _knee(fastest: float, calmest: float) -> Callable[[Array], Array]:
     def value(judgements: Array) -> Array:
         fast = judgements[:, SETTLING] / fastest
         calm = (judgements[:, OVERSHOOT] + POINTS) / (calmest + POINTS)
-        return np.asarray(fast + calm)
+        return fast + calm
 
     return value
 
 
 def _kept(judgements: Array, limits: Limits) -> NDArray[np.bool_]:
-    return np.asarray(
+    return (
         (judgements[:, SENSITIVITY] <= limits.sensitivity)
         & (judgements[:, OFFSET] <= limits.offset)
         & (judgements[:, EFFORT] <= limits.effort)

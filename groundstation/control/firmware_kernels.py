@@ -12,9 +12,16 @@ from groundstation.telemetry.packet import FULL_16_BIT
 
 @spliced
 def update(
-    f: Any, kind: int, axis: int, error: float, dt: float, limit: float, kp: float, ki: float,
+    f: Any,
+    kind: int,
+    axis: int,
+    error: float,
+    dt: float,
+    limit: float,
+    kp: float,
+    ki: float,
     kd: float,
-) -> float:  # fmt: skip
+) -> float:
     """One PID of release 2014.01.0: its integral is clamped, at -5000 below, its output is not."""
     value = min(max(f.integral[kind, axis] + error * dt, -5000.0), limit)
     f.integral[kind, axis] = value
@@ -29,9 +36,16 @@ def rate_pid(f: Any, axis: int, error: float) -> float:
     output = 0.0
     for evaluation in range(3):
         output = update(
-            f, 1, axis, error, 0.002, f.rate_limit[axis],
-            f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
-        )  # fmt: skip
+            f,
+            1,
+            axis,
+            error,
+            0.002,
+            f.rate_limit[axis],
+            f.rate_kp[axis],
+            f.rate_ki[axis],
+            f.rate_kd[axis],
+        )
         if evaluation == 0 and output < -32768.0:
             break
         if evaluation == 1 and output > 32767.0:
@@ -41,9 +55,16 @@ def rate_pid(f: Any, axis: int, error: float) -> float:
 
 @spliced
 def update_today(
-    f: Any, kind: int, axis: int, error: float, measured: float, limit: float, kp: float,
-    ki: float, kd: float,
-) -> float:  # fmt: skip
+    f: Any,
+    kind: int,
+    axis: int,
+    error: float,
+    measured: float,
+    limit: float,
+    kp: float,
+    ki: float,
+    kd: float,
+) -> float:
     """One PID of today's firmware: the derivative is that of what is measured, in deg or deg/s."""
     value = min(max(f.integral[kind, axis] + error * 0.002, -limit), limit)
     f.integral[kind, axis] = value
@@ -57,9 +78,16 @@ def update_today(
 @spliced
 def rate_today(f: Any, axis: int, wanted: float, measured: float) -> float:
     output = update_today(
-        f, 1, axis, wanted - measured, measured, f.rate_limit[axis],
-        f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
-    )  # fmt: skip
+        f,
+        1,
+        axis,
+        wanted - measured,
+        measured,
+        f.rate_limit[axis],
+        f.rate_kp[axis],
+        f.rate_ki[axis],
+        f.rate_kd[axis],
+    )
     return min(max(output, -32767.0), 32767.0)
 
 

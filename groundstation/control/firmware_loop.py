@@ -152,7 +152,7 @@ def step_response(
     setpoints[:, index] = STEP_RAD[axis]
     response = run_cascade(plant, gains, setpoints, None, supply_mv)
     measured = response.gyro if axis == "yaw" else response.angles
-    return np.asarray(measured[:, index] / STEP_RAD[axis])
+    return measured[:, index] / STEP_RAD[axis]
 
 
 def loop_response(
@@ -180,7 +180,7 @@ def loop_response(
     angle = angle + f["angle_kd"][index] / slow * derivative
     if not plant.firmware.is_today:
         rate, slope = rate + slope, 0.0  # of the error, the angle loop's part included
-    return np.asarray(base * (rate * (hold + angle * lean) + slope * hold))
+    return base * (rate * (hold + angle * lean) + slope * hold)
 
 
 def integral_ratios(firmware: Firmware) -> tuple[float, float]:
@@ -293,13 +293,29 @@ class CascadeJudge:
             effort = np.empty((len(sides), len(left)))
             for side, response, largest in zip(sides, y, effort, strict=True):
                 cascade_many(
-                    plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion,
+                    plant.craft[0],
+                    plant.sensor[0],
+                    plant.airframe_x,
+                    plant.fusion,
                     plant.start,
-                    self._rest[0], room[0], self._index, gains[left], *parts,
-                    self._late, *self._ratios, self._unusable, side * self._size,
-                    plant.hover_thrust(self._supply), level, self._supply, SAMPLE_PERIOD_S,
-                    peak[: len(left)], largest, compliance[: len(left)], response,
-                )  # fmt: skip
+                    self._rest[0],
+                    room[0],
+                    self._index,
+                    gains[left],
+                    *parts,
+                    self._late,
+                    *self._ratios,
+                    self._unusable,
+                    side * self._size,
+                    plant.hover_thrust(self._supply),
+                    level,
+                    self._supply,
+                    SAMPLE_PERIOD_S,
+                    peak[: len(left)],
+                    largest,
+                    compliance[: len(left)],
+                    response,
+                )
             measure_many(y.mean(axis=0), SAMPLE_PERIOD_S, self._band, one)
             here = one[: len(left)]
             here[:, 2] = np.where(np.isnan(here[:, 2]), np.inf, here[:, 2])
@@ -317,7 +333,7 @@ def _over(
     """What a push moves without a controller, over what it moves with some gains and may more."""
     loop = loop_response(plant, beside, axis, omega, supply_mv)
     most = np.interp(np.log(omega), np.log([SLOW_RAD_S, FAST_RAD_S]), [1.0, YIELDING])
-    return np.asarray(np.abs(1.0 + loop) / most)
+    return np.abs(1.0 + loop) / most
 
 
 def _drifts(plant: Plant, supply_mv: float) -> bool:
@@ -354,14 +370,14 @@ def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple
 
 def hold_response(s: Complex, period_s: float) -> Complex:
     """A value held for a period, at s (n,) in 1/s."""
-    return np.asarray((1 - np.exp(-period_s * s)) / (period_s * s))
+    return (1 - np.exp(-period_s * s)) / (period_s * s)
 
 
 def rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
     """rad/s of the craft's body per unit of the controller's output, of 16-bit PWM or thrust."""
     damping, by_speed, by_slope = plant.slopes(index)
     speed = speed_per_pwm(plant, index, s, supply_mv)
-    return np.asarray((by_speed + by_slope * s) * speed / (s + damping))
+    return (by_speed + by_slope * s) * speed / (s + damping)
 
 
 def speed_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
@@ -375,4 +391,4 @@ def speed_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Com
         mv = supply_mv / 65536.0
     # Roll moves two rotors (plus), or four by half (x); yaw moves all four.
     share = 0.5 if plant.airframe_x and index < 2 else 1.0
-    return np.asarray(share * motor["a0"] * mv / (s + pole))
+    return share * motor["a0"] * mv / (s + pole)

@@ -59,10 +59,10 @@ class Firmware:
         """The 16-bit thrust that a duty 0..1 at a supply was asked for with."""
         share = np.asarray(duty, np.float64)
         if not self.is_today:
-            return np.asarray(share * FULL)
+            return share * FULL
         volts = share * np.asarray(supply_mv, np.float64) / 1000.0
         newtons = np.polynomial.polynomial.polyval(volts, self.curve)
-        return np.asarray(np.maximum(newtons, 0.0) / self.most_n * FULL_16_BIT)
+        return np.maximum(newtons, 0.0) / self.most_n * FULL_16_BIT
 
     def volts_per_thrust(self, volts: float) -> float:
         """Motor voltage for one more unit of thrust at a voltage."""
@@ -120,14 +120,17 @@ def _today(kp: float, ki: float, curve: Curve, most_n: float) -> Firmware:
         (20.0, 20.0, 360.0),
         {
             "roll": (
-                "pid_rate.{}_kp", "pid_rate.{}_ki", "pid_rate.{}_kd",
-                "pid_attitude.{}_kp", "pid_attitude.{}_ki",
+                "pid_rate.{}_kp",
+                "pid_rate.{}_ki",
+                "pid_rate.{}_kd",
+                "pid_attitude.{}_kp",
+                "pid_attitude.{}_ki",
             ),
             "yaw": ("pid_rate.{}_kp", "pid_rate.{}_ki", "pid_attitude.{}_kp", "pid_attitude.{}_ki"),
         },
         curve,
         most_n,
-    )  # fmt: skip
+    )
 
 
 PLATFORMS: dict[str, Firmware] = {

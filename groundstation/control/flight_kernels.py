@@ -104,17 +104,31 @@ def cascade_run(
                 at_deg = sign * DEGREES * found[axis]
                 goal = f.heading if axis == 2 else sign * DEGREES * setpoints[k, axis]
                 desired[axis] = update_today(
-                    f, 0, axis, wrapped(goal - at_deg), at_deg, f.angle_limit[axis],
-                    f.angle_kp[axis], f.angle_ki[axis], f.angle_kd[axis],
-                )  # fmt: skip
+                    f,
+                    0,
+                    axis,
+                    wrapped(goal - at_deg),
+                    at_deg,
+                    f.angle_limit[axis],
+                    f.angle_kp[axis],
+                    f.angle_ki[axis],
+                    f.angle_kd[axis],
+                )
         elif k % 2 == 0:
             for axis in range(2):
                 sign = 1.0 if axis == 0 else -1.0
                 error = sign * DEGREES * (setpoints[k, axis] - found[axis])
                 desired[axis] = update(
-                    f, 0, axis, error, HALF_PERIOD_S, f.angle_limit[axis],
-                    f.angle_kp[axis], f.angle_ki[axis], f.angle_kd[axis],
-                )  # fmt: skip
+                    f,
+                    0,
+                    axis,
+                    error,
+                    HALF_PERIOD_S,
+                    f.angle_limit[axis],
+                    f.angle_kp[axis],
+                    f.angle_ki[axis],
+                    f.angle_kd[axis],
+                )
             desired[2] = DEGREES * setpoints[k, 2]
         for axis in range(3):
             angles[k, axis] = found[axis]
@@ -246,9 +260,20 @@ def cascade_many(
         f.angle_kp[axis], f.angle_ki[axis] = gains[m, 2], gains[m, 3]
         f.angle_kd[axis] = gains[m, 4]
         cascade_run(
-            craft, sensor, airframe_x, fusion, start, f, setpoints, thrust, supply_mv, period,
-            angles, gyro, compare,
-        )  # fmt: skip
+            craft,
+            sensor,
+            airframe_x,
+            fusion,
+            start,
+            f,
+            setpoints,
+            thrust,
+            supply_mv,
+            period,
+            angles,
+            gyro,
+            compare,
+        )
         largest = 0.0
         for k in range(rows):
             y[m, k] = (gyro[k, axis] if axis == 2 else angles[k, axis]) / size

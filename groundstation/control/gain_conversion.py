@@ -50,8 +50,11 @@ def convert_gains(
     counts = dict(zip(AXES, counts_per_control(model, supply_mv).tolist(), strict=True))
     if source == "firmware":
         values = {name: g for name, g in gains.items() if not isinstance(g, PidGains)}
-        whole = {axis: _of_cascade({**RELEASE_2014.stock, **values}, axis) for axis in AXES
-                 if any(f".{axis}_" in name for name in values)}  # fmt: skip
+        whole = {
+            axis: _of_cascade({**RELEASE_2014.stock, **values}, axis)
+            for axis in AXES
+            if any(f".{axis}_" in name for name in values)
+        }
     else:
         factor = counts if source == "direct" else dict.fromkeys(AXES, 1.0)
         by_axis = {axis: g for axis, g in gains.items() if isinstance(g, PidGains)}

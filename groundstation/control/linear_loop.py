@@ -137,7 +137,7 @@ def controller(
 ) -> NDArray[np.complex128]:
     """The thesis's PID at points z of the unit circle."""
     kp, ki, kd = gains.as_tuple()
-    return np.asarray(kp + ki * period_s / (z - 1) + kd / period_s * (1 - 1 / z))
+    return kp + ki * period_s / (z - 1) + kd / period_s * (1 - 1 / z)
 
 
 def grid(period_s: float, points: int = GRID) -> Array:

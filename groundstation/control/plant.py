@@ -87,7 +87,7 @@ class Plant:
         time = RESPONSE_STEP_S * (np.arange(len(shown)) + 0.5)
         left = shown[-1] - shown
         lost = (np.exp(-np.outer(s, time)) @ left) * RESPONSE_STEP_S
-        return np.asarray(shown[-1] - s * lost)
+        return shown[-1] - s * lost
 
 
 RESPONSE_S, RESPONSE_STEP_S = 0.5, 1e-4

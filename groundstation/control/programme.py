@@ -138,7 +138,7 @@ def stands_again(table: Array, row: int) -> int:
 
 def heading_rad(yaw_dps: Array) -> Array:
     """Of every row of a table, from its begin."""
-    return np.asarray(np.radians(np.cumsum(yaw_dps)) / RATE_HZ)
+    return np.radians(np.cumsum(yaw_dps)) / RATE_HZ
 
 
 def _carried(table: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:

@@ -70,7 +70,7 @@ def search(
     least: list[float] = []
 
     def candidates_of(points: Array) -> Array:
-        return np.asarray(np.exp(bottom + span * points))
+        return np.exp(bottom + span * points)
 
     def scores(points: Array) -> Array:
         """Of points (d, m) in the unit cube."""
@@ -88,10 +88,20 @@ def search(
         points = np.vstack([np.clip((np.log(start) - bottom) / span, 0, 1), points])
     first = points[np.argsort(scores(points.T), kind="stable")[: budget.population]]
     found = differential_evolution(
-        scores, [(0.0, 1.0)] * len(low), strategy="randtobest1bin", init=first,
-        mutation=MUTATION, recombination=CROSSOVER, maxiter=budget.generations, tol=0.0,
-        polish=False, vectorized=True, updating="deferred", rng=generator, callback=stalled,
-    )  # fmt: skip
+        scores,
+        [(0.0, 1.0)] * len(low),
+        strategy="randtobest1bin",
+        init=first,
+        mutation=MUTATION,
+        recombination=CROSSOVER,
+        maxiter=budget.generations,
+        tol=0.0,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        rng=generator,
+        callback=stalled,
+    )
     winner = candidates_of(found.x)
     return winner, judge(winner[None])[0]
 

@@ -212,7 +212,7 @@ def _device_times(samples: SampleBatch, times_ns: NDArray[np.int64]) -> Array:
     slope, offset = np.polyfit(device[prompt], (host - device)[prompt], 1)
     offset += np.min((host - device)[prompt] - slope * device[prompt] - offset)
     sent = (times_ns - start) * 1e-9
-    return np.asarray((sent - offset) / (1 + slope))
+    return (sent - offset) / (1 + slope)
 
 
 def _effective(

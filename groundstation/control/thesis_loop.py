@@ -104,7 +104,7 @@ def counts_per_control(model: Model, supply_mv: float = SUPPLY_MV) -> Array:
     """
     plant, motor = motors_and_body(model), model.motor
     slope = motor.a0 * supply_mv / PWM_FULL / (motor.a1 + 2 * motor.a2 * plant.hover_rev_s)
-    return np.asarray(1.0 / (2 * plant.hover_rev_s * slope * np.array([2.0, 2.0, 4.0])))
+    return 1.0 / (2 * plant.hover_rev_s * slope * np.array([2.0, 2.0, 4.0]))
 
 
 def whole_loop(
@@ -142,12 +142,12 @@ def counts_response(
         s = 1j * omega
         late = hold_response(s, SAMPLE_PERIOD_S) * np.exp(-own * SAMPLE_PERIOD_S * s)
         rate = rate_per_pwm(plant, AXES.index(axis), s, supply_mv)
-        return np.asarray(FULL / PWM_FULL * rate / s * late)
+        return FULL / PWM_FULL * rate / s * late
     polynomials = axis_plant(model, axis, delay)
     pole = model.motor.a1 + 2 * model.motor.a2 * motors_and_body(model).hover_rev_s
     counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
     motor = pole / (1j * omega + pole) / counts
-    return np.asarray(frequency_response(polynomials, np.exp(1j * omega * polynomials.ts)) * motor)
+    return frequency_response(polynomials, np.exp(1j * omega * polynomials.ts)) * motor
 
 
 def motors_and_body(model: Model) -> Plant:

@@ -130,7 +130,7 @@ def _energy(one: _Air) -> Array:
     if not len(one.moved):
         return np.zeros(4)
     away = one.moved - one.moved.mean(axis=0)
-    return np.asarray((away**2).sum(axis=0) * one.run.period_s)
+    return (away**2).sum(axis=0) * one.run.period_s
 
 
 def _flown(run: Run, configuration: str) -> _Air:

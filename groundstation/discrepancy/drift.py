@@ -69,4 +69,4 @@ def spread_of(variance: float | Array, step_s: float, pace_s: float) -> Array:
     of their own (``drift_of``): neighbours share the integral of what fades between them."""
     ratio = pace_s / step_s
     shared = (ratio * (1.0 - math.exp(-1.0 / ratio))) ** 2
-    return np.asarray(np.sqrt(variance * math.exp(-1.0 / ratio) / shared))
+    return np.sqrt(variance * math.exp(-1.0 / ratio) / shared)

@@ -230,4 +230,4 @@ def _block_scores(s: Spectrum, column: Array, problem: Problem, channel: int) ->
     step = 1.0 / (2.0 * s.hz[-1])
     block = max(1, round(BLOCK_S / step))
     count = len(rows) // block
-    return np.asarray(rows[: count * block].reshape(count, block).sum(axis=1))
+    return rows[: count * block].reshape(count, block).sum(axis=1)

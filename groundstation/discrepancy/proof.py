@@ -199,7 +199,13 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
     far = before.further(train.before.further().black_box)
     further = far, far.with_model(plain, FURTHER_EVERY_S)
     proof = Proof(
-        *(train.before, train.of(plain), before, after, followed, further, tuple(steps)),
+        train.before,
+        train.of(plain),
+        before,
+        after,
+        followed,
+        further,
+        tuple(steps),
         explained_by(*ends) if falls(before.gap, last) else None,
     )
     return replace(findings, effects=tuple(weighed)), proof
@@ -224,8 +230,11 @@ def _upheld(findings: Findings, rows: Predictions, after: Comparison) -> Finding
         refused = {one.name: Refusal(Reason.WITHOUT_WEIGHT, words) for one in findings.effects}
     if not refused:
         return findings
-    doubted = [replace(one, order=0, refused=refused[one.name])
-               for one in findings.effects if one.name in refused]  # fmt: skip
+    doubted = [
+        replace(one, order=0, refused=refused[one.name])
+        for one in findings.effects
+        if one.name in refused
+    ]
     terms = {term.name: term for term in findings.model.effects}
     along = (*findings.moved.effects, *(terms[one.name] for one in doubted))
     kept: list[FoundEffect] = []

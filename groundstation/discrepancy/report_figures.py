@@ -69,7 +69,9 @@ def where_map(titled: Sequence[tuple[str, Sequence[Place]]]) -> Figure:
                 continue
             dark = value < np.sqrt(LARGEST_RATIO)
             axis.text(
-                *(column, row, f"{value:.2f}" if value < 9.995 else f"{value:.0f}"),
+                column,
+                row,
+                f"{value:.2f}" if value < 9.995 else f"{value:.0f}",
                 ha="center",
                 va="center",
                 fontsize=7.5,
@@ -190,10 +192,15 @@ def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
     for y, one, size in zip(place, shown, score, strict=True):
         note = notes[one.name]
         axis.annotate(
-            note, (size + 0.1, float(y)), xytext=(4, 0), textcoords="offset points",
-            va="center", fontsize=7.5, color=INK if one.accepted else NOTE,
+            note,
+            (size + 0.1, float(y)),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=7.5,
+            color=INK if one.accepted else NOTE,
             weight="bold" if one.accepted else "normal",
-        )  # fmt: skip
+        )
     # As many decades as leave room for every note.
     room = [0.98 - NOTE_CHARACTER * len(notes[one.name]) for one in shown]
     decades = np.log10(score / 0.1 + 1.0) / np.maximum(room, 0.2)
@@ -212,8 +219,13 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
     axis.barh(0, values[0], color=MODELLED, height=0.6)
     for k in range(1, len(steps)):
         low, high = sorted((values[k - 1], values[k]))
-        axis.barh(k, high - low, left=low, color=GOOD if values[k] <= values[k - 1] else MODELLED,
-                  height=0.6)  # fmt: skip
+        axis.barh(
+            k,
+            high - low,
+            left=low,
+            color=GOOD if values[k] <= values[k - 1] else MODELLED,
+            height=0.6,
+        )
         axis.vlines(values[k - 1], k - 1.3, k + 0.3, color=NEUTRAL, linewidth=0.8)
     last = len(steps)
     axis.barh(last, values[-1], color=IMPROVED, height=0.6)
@@ -221,7 +233,8 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
         step = 0 < k < last
         words = f"{values[k - 1]:.2f} → {value:.2f}" if step else f"{value:.2f}"
         axis.annotate(
-            *(words, (max(value, values[k - 1]) if step else value, k)),
+            words,
+            (max(value, values[k - 1]) if step else value, k),
             xytext=(5, 0),
             textcoords="offset points",
             va="center",

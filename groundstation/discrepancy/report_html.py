@@ -117,7 +117,11 @@ def discrepancy_page(proof: Proof, report: DiscrepancyReport) -> Page:
             ["effect", "name", "score", "t", "other flights", "outcome"],
             [
                 (
-                    *(title_of(c.name), c.name, c.score, c.t, c.held_out or None),
+                    title_of(c.name),
+                    c.name,
+                    c.score,
+                    c.t,
+                    c.held_out or None,
                     "accepted" if c.accepted else c.reason,
                 )
                 for c in report.candidates

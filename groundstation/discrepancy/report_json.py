@@ -225,7 +225,9 @@ def gap_of(
         UNIT,
         SOURCE,
         Proven(
-            *(plain.before, plain.after, 1.0),
+            plain.before,
+            plain.after,
+            1.0,
             with_disturbance=None
             if followed is None
             else Level(followed[0].beside(before), followed[1].beside(before), 1.0),
@@ -270,8 +272,11 @@ def discrepancy_report(
     findings, proof = found.findings, found.proof
     left = findings.residual
     gap = gap_of(
-        *(proof.before, proof.further, proof.after),
-        *((proof.train_before, proof.train_after), proof.followed),
+        proof.before,
+        proof.further,
+        proof.after,
+        (proof.train_before, proof.train_after),
+        proof.followed,
     )
     account = {**findings.model.fit, "discrepancy": {"verdict": findings.verdict.value}}
     return DiscrepancyReport(
@@ -282,7 +287,10 @@ def discrepancy_report(
         effects=[_effect_found(one) for one in findings.effects],
         possible=[
             PossibleEffect(
-                *(one.name, one.parameters, one.recurrence, list(one.alternatives)),
+                one.name,
+                one.parameters,
+                one.recurrence,
+                list(one.alternatives),
                 one.refused.reason.value if one.refused else "",
             )
             for one in findings.possible
@@ -301,7 +309,12 @@ def discrepancy_report(
         left=what_is_left(proof.after),
         candidates=[
             CandidateTried(
-                *(c.name, c.score, c.t, c.held_out, c.accepted, _reason(c, findings)),
+                c.name,
+                c.score,
+                c.t,
+                c.held_out,
+                c.accepted,
+                _reason(c, findings),
                 "" if c.refused is None else c.refused.reason.value,
             )
             for c in sorted(findings.candidates, key=lambda c: -c.score)

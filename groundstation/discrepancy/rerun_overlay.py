@@ -70,7 +70,7 @@ def _all(ratio: Array) -> Array:
     count = known.sum(axis=1)
     total = np.where(known, ratio, 0.0) ** 2
     mean = np.divide(total.sum(axis=1), count, out=np.full(len(ratio), np.nan), where=count > 0)
-    return np.asarray(np.sqrt(mean))
+    return np.sqrt(mean)
 
 
 def _text(report: DiscrepancyReport) -> str:

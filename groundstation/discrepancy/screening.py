@@ -69,7 +69,7 @@ class Screening:
 
     def best(self) -> Array:
         """The change (p,) of every unknown to the joint optimum."""
-        return np.asarray(inverse(self.total.normal) @ self.total.gradient)
+        return inverse(self.total.normal) @ self.total.gradient
 
     def covariance(self, keys: Sequence[str]) -> Array:
         """Of ``keys`` fitted jointly, (k, k)."""
@@ -174,7 +174,7 @@ def _within_reason(seen: Screening, unknowns: Mapping[str, Key]) -> Array:
             size = max(abs(end - one.absent) for end in one.plausible)
             normal[i, i] += size**-2
             gradient[i] += (one.absent - seen.point.get(key, one.absent)) / size**2
-    return np.asarray(inverse(normal) @ gradient)
+    return inverse(normal) @ gradient
 
 
 def tried(
@@ -231,7 +231,7 @@ def beside_shapes(variant: Variant, keys: Sequence[str], covariance: Array) -> A
     own = [keys.index(key) for key in variant.sizes]
     shapes = [keys.index(key) for key in variant.keys if key not in variant.sizes]
     pull = covariance[np.ix_(own, shapes)] @ inverse(covariance[np.ix_(shapes, shapes)])
-    return np.asarray(covariance[np.ix_(own, own)] - pull @ covariance[np.ix_(shapes, own)])
+    return covariance[np.ix_(own, own)] - pull @ covariance[np.ix_(shapes, own)]
 
 
 def cost_without(variant: Variant, point: Point, keys: Sequence[str], covariance: Array) -> float:

@@ -257,7 +257,7 @@ def _near_by(values: Array) -> Array:
     """Sums (w, k, c) over the bins that a line in bin k reaches."""
     from scipy.ndimage import uniform_filter1d
 
-    return np.asarray(LINE_BINS * uniform_filter1d(values, LINE_BINS, axis=1, mode="constant"))
+    return LINE_BINS * uniform_filter1d(values, LINE_BINS, axis=1, mode="constant")
 
 
 def _per_size(craft: Craft, speed: Array, corners: tuple[float, float]) -> Array:

@@ -93,7 +93,7 @@ def arx_ahead(
     before = np.minimum(place.astype(np.int64), steps - 1)
     share = place - before
     run = run[:, known - 1 :]
-    return np.asarray((1.0 - share) * run[:, before] + share * run[:, before + 1])
+    return (1.0 - share) * run[:, before] + share * run[:, before + 1]
 
 
 def angle_polynomial(model: Model, axis: str) -> ArxAxis:

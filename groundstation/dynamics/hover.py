@@ -32,7 +32,7 @@ def hover_duty(craft: Crafts, rotor_rev_s: float, supply_mv: ArrayLike) -> Array
     voltages, place = np.unique(np.asarray(supply_mv, np.float64), return_inverse=True)
     speed = np.full(4, rotor_rev_s)
     found = [duties_for(craft, speed, still, float(voltage)).mean() for voltage in voltages]
-    return np.asarray(np.array(found)[place])
+    return np.array(found)[place]
 
 
 def duties_for(craft: Crafts, rotor_rev_s: Array, slope: Array, supply_mv: float) -> Array:

@@ -51,7 +51,7 @@ def rates_matrix(attitude: ArrayLike) -> Array:
 def body_rates(attitude: ArrayLike, euler_rates: ArrayLike) -> Array:
     """Body rates p, q, r from Euler rates, rad/s (thesis eq. 3.9)."""
     speeds = np.asarray(euler_rates, np.float64)[..., None]
-    return np.asarray((rates_matrix(attitude) @ speeds)[..., 0])
+    return (rates_matrix(attitude) @ speeds)[..., 0]
 
 
 def euler_rates(attitude: ArrayLike, rates: ArrayLike) -> Array:

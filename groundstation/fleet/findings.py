@@ -268,8 +268,17 @@ def _finding(first: _Test, along: Sequence[_Test]) -> Finding:
     }[kind]
     text = f"{series.craft}: {amount} {when}: {_likely(first, along)}"
     return Finding(
-        *(series.craft, kind, name, 0.01 * size, first.stderr, first.p, since),
-        *(at + 1, count, moved, text),
+        series.craft,
+        kind,
+        name,
+        0.01 * size,
+        first.stderr,
+        first.p,
+        since,
+        at + 1,
+        count,
+        moved,
+        text,
     )
 
 

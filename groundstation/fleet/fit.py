@@ -49,7 +49,9 @@ def fit_all(
     long = {one[KEY]: one for one in lasting(rows, LEAST_AIR_S)}
     to_fit = changed_since(table.rows(SETTLED), long, settings)
     fitted = gathered(
-        *(table, fitting(vehicle, effects), to_fit),
+        table,
+        fitting(vehicle, effects),
+        to_fit,
         lambda address: set_aside(row_of(address, settings, long[address]["sha256"]), "fits"),
         at_once=KEPT_AT,
         doing="fitting",

@@ -155,7 +155,10 @@ def index(
     addresses = addresses_of(sources)
     changed = [one for one in addresses if one not in known or _changed(known[one], vehicle)]
     rows = gathered(
-        *(table, reading(vehicle), changed, partial(_deadly, vehicle=vehicle)),
+        table,
+        reading(vehicle),
+        changed,
+        partial(_deadly, vehicle=vehicle),
         at_once=KEPT_AT,
         doing="reading",
         workers=workers,

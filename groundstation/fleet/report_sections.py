@@ -23,7 +23,12 @@ def add_shifts(page: Page, date: str, shifts: Sequence[Shift]) -> None:
         ("quantity", "change, %", "+-", "crafts", "that way", "chance", "believed"),
         [
             (
-                *(one.quantity, 100 * one.size, 100 * one.stderr, one.crafts, one.with_it, one.p),
+                one.quantity,
+                100 * one.size,
+                100 * one.stderr,
+                one.crafts,
+                one.with_it,
+                one.p,
                 "yes" if one.believed else "no",
             )
             for one in shifts

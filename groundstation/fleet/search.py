@@ -80,7 +80,9 @@ def search_all(
         if task.craft not in known or known[task.craft]["settings"] != task.settings
     ]
     rows_found = gathered(
-        *(table, searching(model, vehicle), fresh),
+        table,
+        searching(model, vehicle),
+        fresh,
         lambda task: set_aside(row_of(task), "searches"),
         at_once=1,
         doing="searching craft",

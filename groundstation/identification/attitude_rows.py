@@ -84,7 +84,7 @@ class AttitudeRows:
 
     def euler_rates(self, rates: Array) -> Array:
         """Euler rates (m, 3) of rates in the body."""
-        return np.asarray(np.einsum("nij,nj->ni", self.to_euler, rates))
+        return np.einsum("nij,nj->ni", self.to_euler, rates)
 
     def where_told(self, rates: Array) -> Array:
         """Rates (m, ...) of data or model, nothing over a gap."""
@@ -165,7 +165,7 @@ def _leans(
 
     def lean(felt: Array) -> Array:
         length = np.linalg.norm(felt, axis=1, keepdims=True)
-        return np.asarray(np.cross(felt / np.maximum(length, 1e-9), up))
+        return np.cross(felt / np.maximum(length, 1e-9), up)
 
     return lean(smooth[ends]), lean(force[ends])
 

@@ -38,7 +38,7 @@ class Estimates:
     def correlation(self) -> Array:
         """Correlation matrix, (p, p)."""
         scale = np.where(self.stderr > 0, self.stderr, 1.0)
-        return np.asarray(self.covariance / np.outer(scale, scale))
+        return self.covariance / np.outer(scale, scale)
 
     def interval(self, probability: float = 0.95) -> Array:
         """Confidence intervals (p, 2) by Student's distribution."""
@@ -83,14 +83,14 @@ def sandwich(normal: Array, scores: Array) -> Array:
     blocks, count = scores.shape
     bread = inverse(normal)
     meat = scores.T @ scores * (blocks / max(blocks - count, 1))
-    return np.asarray(bread @ meat @ bread)
+    return bread @ meat @ bread
 
 
 def inverse(normal: Array) -> Array:
     """Pseudo-inverse of J^T W J whatever the units of its parameters."""
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     unit = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
-    return np.asarray(unit / np.outer(scale, scale))
+    return unit / np.outer(scale, scale)
 
 
 def bounded_step(
@@ -125,4 +125,4 @@ def as_met(normal: Array, step: Array, fall: Array) -> Array:
     if expected <= 0.0:
         return normal
     ratio = float(np.clip(fall @ step / expected, *TRUSTED))
-    return np.asarray(normal + (ratio - 1.0) / expected * np.outer(along, along))
+    return normal + (ratio - 1.0) / expected * np.outer(along, along)

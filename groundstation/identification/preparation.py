@@ -55,7 +55,7 @@ class BenchPreparation:
         ]
 
     def _volts(self) -> Array:
-        return np.asarray(armature_mv(self.run.duty, self.run.supply_v)[:, self.motor] / 1e3)
+        return armature_mv(self.run.duty, self.run.supply_v)[:, self.motor] / 1e3
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,7 @@ def force_read_between(accelerometer: Array) -> bool:
 def mean_between(values: Array) -> Array:
     """Rows (n, 3) of a model as such means."""
     half = half_a_row_later(values)
-    return np.asarray(0.5 * (half + np.concatenate([half[:1], half[:-1]])))
+    return 0.5 * (half + np.concatenate([half[:1], half[:-1]]))
 
 
 def half_a_row_later(values: Array) -> Array:
@@ -46,7 +46,7 @@ def half_a_row_later(values: Array) -> Array:
     before, now, after, next_but_one = (
         np.pad(values, ((1, 2), (0, 0)), mode="edge")[i : i + len(values)] for i in range(4)
     )
-    return np.asarray((9.0 * (now + after) - before - next_but_one) / 16.0)
+    return (9.0 * (now + after) - before - next_but_one) / 16.0
 
 
 def _left(rows: Array) -> Array:
@@ -56,4 +56,4 @@ def _left(rows: Array) -> Array:
     power = welch(rows, axis=0, nperseg=min(SEGMENT_ROWS, len(rows)))[1]
     place = np.linspace(0.0, 1.0, len(power))
     top, middle = (power[(low <= place) & (place <= high)].mean(axis=0) for low, high in BANDS)
-    return np.asarray(np.divide(top, middle, out=np.ones(3), where=middle > 0.0))
+    return np.divide(top, middle, out=np.ones(3), where=middle > 0.0)

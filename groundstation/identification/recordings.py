@@ -138,7 +138,7 @@ def flights_of_each(
 
 
 def _silent(steps: NDArray[np.float64], usual_s: float) -> NDArray[np.bool_]:
-    return np.asarray((steps > LONGEST_GAP_S) | (steps < 0))
+    return (steps > LONGEST_GAP_S) | (steps < 0)
 
 
 def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:

@@ -104,7 +104,7 @@ def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:
     every = np.vstack(errors)
     if not len(every):
         raise BadInputError("by the model's thrust the craft never leaves the ground")
-    return np.asarray(np.sqrt(np.mean(np.square(every), axis=0)))
+    return np.sqrt(np.mean(np.square(every), axis=0))
 
 
 def channels_of(gyro: Array, accelerometer: Array, attitude: Array) -> Array:

@@ -248,4 +248,4 @@ def uninterrupted(
 
 
 def _uneven(steps: Array, usual_s: float) -> Mask:
-    return np.asarray(np.abs(steps - usual_s) > STEP_TOLERANCE * usual_s)
+    return np.abs(steps - usual_s) > STEP_TOLERANCE * usual_s

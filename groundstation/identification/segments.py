@@ -53,4 +53,4 @@ def selected(run: Run, selection: Selection) -> Mask:
     if not selection.spans_s:
         return np.ones(len(run), np.bool_)
     time = run.time_s - run.recording_start_s
-    return np.asarray(np.any([(time >= a) & (time < b) for a, b in selection.spans_s], axis=0))
+    return np.any([(time >= a) & (time < b) for a, b in selection.spans_s], axis=0)

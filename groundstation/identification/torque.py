@@ -31,7 +31,7 @@ class RotorSquares:
 
     def mixed(self, configuration: Configuration) -> Array:
         """u' (n, 3) of eq. 7.19, mean over the period that ends with the row."""
-        return np.asarray(self.square @ MIXERS[configuration].T)
+        return self.square @ MIXERS[configuration].T
 
 
 def mostly_saturated(run: Run) -> bool:

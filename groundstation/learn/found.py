@@ -86,8 +86,10 @@ def found_line(found: DiscrepancyReport) -> str:
     gap = found.gap.validation
     after = gap.before if gap.after is None else gap.after
     corrected = [one for one in found.effects if _corrects(one)]
-    hardly = sorted({one.name for one in found.effects}
-                    - {one.name for one in (*corrected, *named_effects(found))})  # fmt: skip
+    hardly = sorted(
+        {one.name for one in found.effects}
+        - {one.name for one in (*corrected, *named_effects(found))}
+    )
     told = f"named: {named}; on the proof flight predictions miss by {gap.before:.2f} times the"
     told += f" noise before and {after:.2f} times after"
     for one in corrected:

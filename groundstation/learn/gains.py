@@ -89,8 +89,11 @@ def of_better_axes(gains: dict[str, float], before: Flown, after: Flown) -> dict
     """The gains of those axes that followed their steps more closely with them, and overshot them
     by no more than ``OVERSHOOT_MORE`` points more."""
     axes = zip(before.axes, after.axes, strict=True)
-    better = {new.axis for old, new in axes if missed(new) < missed(old)
-              and overshoots_more(old, new) <= OVERSHOOT_MORE}  # fmt: skip
+    better = {
+        new.axis
+        for old, new in axes
+        if missed(new) < missed(old) and overshoots_more(old, new) <= OVERSHOOT_MORE
+    }
     return {name: value for name, value in gains.items() if axis_of(name) in better}
 
 

@@ -122,7 +122,7 @@ def library(limits: Limits, seed: int = 0) -> dict[str, Manoeuvre]:
         """A pattern of levels, again and again with signs at random."""
         count = round(hold_s * RATE_HZ)
         signs = random.choice([-1.0, 1.0], len(time) // (count * len(pattern)) + 1)
-        return np.asarray(np.repeat(np.outer(signs, pattern), count)[: len(time)])
+        return np.repeat(np.outer(signs, pattern), count)[: len(time)]
 
     def of(name: str, **axes: Array) -> Manoeuvre:
         """Leans are those of the heading at its begin, so that they come back in a turn too."""
@@ -146,12 +146,20 @@ def library(limits: Limits, seed: int = 0) -> dict[str, Manoeuvre]:
         of("yaw chirp", yaw=60.0 * sweep),
         of("to and fro, left and right", roll=tilt * to_and_fro),
         of("to and fro, ahead and back", pitch=tilt * to_and_fro),
-        of("turn with doublets", yaw=0.0 * still + 90.0, pitch=0.75 * tilt * doublet,
-           roll=0.75 * tilt * np.roll(doublet, RATE_HZ // 2)),
-        of("all axes at random", roll=0.75 * tilt * levels(0.25, *back), pitch=0.75 * tilt
-           * levels(0.3, *back), yaw=60.0 * levels(0.5, 1.0, -1.0), above=limits.step_m
-           * levels(1.0, 1.0, 0.0)),
-    ]  # fmt: skip
+        of(
+            "turn with doublets",
+            yaw=0.0 * still + 90.0,
+            pitch=0.75 * tilt * doublet,
+            roll=0.75 * tilt * np.roll(doublet, RATE_HZ // 2),
+        ),
+        of(
+            "all axes at random",
+            roll=0.75 * tilt * levels(0.25, *back),
+            pitch=0.75 * tilt * levels(0.3, *back),
+            yaw=60.0 * levels(0.5, 1.0, -1.0),
+            above=limits.step_m * levels(1.0, 1.0, 0.0),
+        ),
+    ]
     return {one.name: one for one in made}
 
 

@@ -88,8 +88,10 @@ class Outcome:
             spread = "" if one.stderr is None else f" ± {one.stderr:.2g}"
             mark = "yes" if one.inside else "NO "
             lines.append(f"  {mark} {one.effect} {one.parameter} {one.true:.4g}: {found}{spread}")
-        lines += [f"  NO  {name}: named, and not there"
-                  for name in sorted(self.named - {one.effect for one in self.hidden})]  # fmt: skip
+        lines += [
+            f"  NO  {name}: named, and not there"
+            for name in sorted(self.named - {one.effect for one in self.hidden})
+        ]
         return lines
 
     def as_dict(self) -> dict[str, Any]:
@@ -107,14 +109,23 @@ class Outcome:
             else dict(zip(("before", "after"), map(mean_missed, self.steps), strict=True)),
             "hidden": None
             if self.hidden is None
-            else [{"effect": s.effect, "parameter": s.parameter, "true": s.true, "value": s.value,
-                   "stderr": s.stderr, "inside": s.inside} for s in self.hidden],
+            else [
+                {
+                    "effect": s.effect,
+                    "parameter": s.parameter,
+                    "true": s.true,
+                    "value": s.value,
+                    "stderr": s.stderr,
+                    "inside": s.inside,
+                }
+                for s in self.hidden
+            ],
             "names_right": self.names_right,
             "flights": len(self.journal.flights),
             "air_s": sum(one.seconds for one in self.journal.flights),
             "batteries": self.journal.batteries,
             "seconds": round(self.journal.seconds, 1),
-        }  # fmt: skip
+        }
 
 
 def outcome_of(journal: Journal, folder: Path) -> Outcome:

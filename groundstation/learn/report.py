@@ -76,10 +76,16 @@ def _truth(page: Page, outcome: Outcome) -> None:
         " opened after everything had been said."
     )
     rows = [
-        [one.effect, one.parameter, one.true, one.value, one.stderr,
-         "not named" if one.value is None else "yes" if one.inside else "NO"]
+        [
+            one.effect,
+            one.parameter,
+            one.true,
+            one.value,
+            one.stderr,
+            "not named" if one.value is None else "yes" if one.inside else "NO",
+        ]
         for one in outcome.hidden
-    ]  # fmt: skip
+    ]
     too_many = sorted(outcome.named - {one.effect for one in outcome.hidden})
     rows += [[name, "", None, None, None, "not there"] for name in too_many]
     page.table(["hidden", "number", "true", "found", "standard error", "within 95 %"], rows)
@@ -108,13 +114,20 @@ def _craft(page: Page, outcome: Outcome) -> None:
     page.table(
         ["effect", "what it does", "number", "value", "standard error", "unit", "its share, %"],
         [
-            [title_of(one.name), meaning(one), key, number.value, number.stderr, number.unit,
-             None if one.weight is None else 100 * one.weight]
+            [
+                title_of(one.name),
+                meaning(one),
+                key,
+                number.value,
+                number.stderr,
+                number.unit,
+                None if one.weight is None else 100 * one.weight,
+            ]
             for one in outcome.effects
             for key, number in one.parameters.items()
         ],
         "Share: of what all effects together explain on the proof flight.",
-    )  # fmt: skip
+    )
     page.figure(
         evidence_bars(outcome.found.candidates),
         "What each effect alone would explain, before any was added.",
@@ -135,17 +148,24 @@ def _predicted(page: Page, outcome: Outcome) -> None:
     page.table(
         ["channel", "unit", "error before", "after", "noise alone"],
         [
-            [name.replace("_", " "), one.own_unit.unit, one.own_unit.before, one.own_unit.after,
-             one.own_unit.noise_floor]
+            [
+                name.replace("_", " "),
+                one.own_unit.unit,
+                one.own_unit.before,
+                one.own_unit.after,
+                one.own_unit.noise_floor,
+            ]
             for name, one in outcome.found.gap.channels.items()
         ],
-    )  # fmt: skip
+    )
 
 
 def _gains(page: Page, outcome: Outcome) -> None:
     page.heading("Gains before and after")
-    page.verdict(f"{outcome.journal.gains[:1].upper()}{outcome.journal.gains[1:]}.",
-                 "good" if outcome.journal.gains.startswith("written") else "neutral")  # fmt: skip
+    page.verdict(
+        f"{outcome.journal.gains[:1].upper()}{outcome.journal.gains[1:]}.",
+        "good" if outcome.journal.gains.startswith("written") else "neutral",
+    )
     if outcome.steps is None:
         return
     flown = [one for one in outcome.journal.flights if not one.aborted][-1].gains
@@ -160,19 +180,33 @@ def _gains(page: Page, outcome: Outcome) -> None:
         " ones; dashed what the found model predicts.",
     )
     page.table(
-        ["axis", "RMS before", "after", "predicted before", "predicted after",
-         "overshoot before, %", "after, %", "settled before, s", "after, s"],
         [
-            [old.axis, *(_rms(one) for one in (old.measured, new.measured)),
-             *(_rms(one) for one in (old.predicted, new.predicted)),
-             old.measured.overshoot_pct, new.measured.overshoot_pct,
-             old.measured.settling_s, new.measured.settling_s]
+            "axis",
+            "RMS before",
+            "after",
+            "predicted before",
+            "predicted after",
+            "overshoot before, %",
+            "after, %",
+            "settled before, s",
+            "after, s",
+        ],
+        [
+            [
+                old.axis,
+                *(_rms(one) for one in (old.measured, new.measured)),
+                *(_rms(one) for one in (old.predicted, new.predicted)),
+                old.measured.overshoot_pct,
+                new.measured.overshoot_pct,
+                old.measured.settling_s,
+                new.measured.settling_s,
+            ]
             for old, new in zip(before.axes, after.axes, strict=True)
             for _rms in [lambda one, step=old.step: None if one is None else one.rms / step]
         ],
         f"RMS: of the step's size. Mean of the axes: {mean_missed(before):.3f} before,"
         f" {mean_missed(after):.3f} after.",
-    )  # fmt: skip
+    )
 
 
 def steps_figure(before: Steps, after: Steps) -> Figure:
@@ -201,11 +235,19 @@ def _open(page: Page, outcome: Outcome) -> None:
     page.bullets(lines or ["no named effect has another name that explains as much"])
     if found.not_shown:
         page.table(
-            ["not shown by these flights", "number", "standard error", "usual size", "unit",
-             "to see it"],
-            [[one.name, one.parameter, one.stderr, one.plausible, one.unit, one.manoeuvre]
-             for one in found.not_shown],
-        )  # fmt: skip
+            [
+                "not shown by these flights",
+                "number",
+                "standard error",
+                "usual size",
+                "unit",
+                "to see it",
+            ],
+            [
+                [one.name, one.parameter, one.stderr, one.plausible, one.unit, one.manoeuvre]
+                for one in found.not_shown
+            ],
+        )
 
 
 def _behind(page: Page, outcome: Outcome) -> None:
@@ -213,11 +255,17 @@ def _behind(page: Page, outcome: Outcome) -> None:
     page.table(
         ["flight", "for", "manoeuvres", "s", "battery", "cut short"],
         [
-            [one.file, one.purpose, ", ".join(row["fly"] for row in one.timeline), one.seconds,
-             one.battery, one.aborted]
+            [
+                one.file,
+                one.purpose,
+                ", ".join(row["fly"] for row in one.timeline),
+                one.seconds,
+                one.battery,
+                one.aborted,
+            ]
             for one in outcome.journal.flights
         ],
-    )  # fmt: skip
+    )
     page.bullets(outcome.journal.said)
     names = [one.file for one in outcome.journal.flights]
     names += [BODY_MODEL, "body.html", *(f"plan{n}.json" for n in (1, 2))]

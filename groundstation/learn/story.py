@@ -181,7 +181,14 @@ class Learner:
         vehicle = ("--vehicle", self.journal.task.vehicle)
         self._run(
             BODY_MODEL,
-            *("fit", "body", *flights, *vehicle, "-o", BODY_MODEL, "--html", "body.html"),
+            "fit",
+            "body",
+            *flights,
+            *vehicle,
+            "-o",
+            BODY_MODEL,
+            "--html",
+            "body.html",
         )
 
     def _plan(self, number: int, model: str, found: DiscrepancyReport | None) -> Planned:
@@ -207,8 +214,18 @@ class Learner:
         name = f"found{number}"
         self._run(
             f"{name}.json",
-            *("discrepancy", *flights, "--validate", PROOF_FLIGHT, "--model", BODY_MODEL),
-            *("-o", f"{name}.model.json", "--html", f"{name}.html", "--json", f"{name}.json"),
+            "discrepancy",
+            *flights,
+            "--validate",
+            PROOF_FLIGHT,
+            "--model",
+            BODY_MODEL,
+            "-o",
+            f"{name}.model.json",
+            "--html",
+            f"{name}.html",
+            "--json",
+            f"{name}.json",
         )
         return read_found(self.folder / f"{name}.json")
 
@@ -333,8 +350,9 @@ def flights_ahead(journal: Journal, limits: Limits) -> tuple[int, float]:
         PROOF_FLIGHT: flight_of(PROOF, "", limits, seed),
     }
     seconds = {name: plan.seconds for name, plan in plans.items()}
-    seconds |= {f"flight{n + 2}.mcap": DESIGNED_S + TAKE_OFF_S + LANDING_S
-                for n in range(1, ROUNDS + 1)}  # fmt: skip
+    seconds |= {
+        f"flight{n + 2}.mcap": DESIGNED_S + TAKE_OFF_S + LANDING_S for n in range(1, ROUNDS + 1)
+    }
     steps = step_flight(limits).seconds + TAKE_OFF_S + LANDING_S
     seconds |= {BEFORE: steps} | {AFTER.format(n): steps for n in range(1, len(AXES) + 1)}
     left = [s for name, s in seconds.items() if journal.good(name) is None]

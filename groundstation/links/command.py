@@ -176,10 +176,15 @@ class CommandLink(ABC):
                 self._send_hover(vx_m_s, vy_m_s, yaw_dps, height_m, until_s)
         more = {"height_m": height_m, "vx_m_s": vx_m_s, "vy_m_s": vy_m_s}
         return self._entry(
-            "out", "setpoint", client=client, roll_deg=roll_deg, pitch_deg=pitch_deg,
-            yaw_dps=yaw_dps, thrust=thrust,
+            "out",
+            "setpoint",
+            client=client,
+            roll_deg=roll_deg,
+            pitch_deg=pitch_deg,
+            yaw_dps=yaw_dps,
+            thrust=thrust,
             **{name: value for name, value in more.items() if value is not None},
-        )  # fmt: skip
+        )
 
     def _require_held(self, thrust: int, height_m: float, *, moves: bool) -> None:
         """Raises BadInputError for a height, or with it a velocity, that this craft cannot hold."""

@@ -14,9 +14,15 @@ from groundstation.errors import BadInputError, LinkError
 
 BLOCK_BYTES = 26
 TYPE_BYTES = {
-    "uint8_t": 1, "uint16_t": 2, "uint32_t": 4, "int8_t": 1, "int16_t": 2, "int32_t": 4,
-    "FP16": 2, "float": 4,
-}  # fmt: skip
+    "uint8_t": 1,
+    "uint16_t": 2,
+    "uint32_t": 4,
+    "int8_t": 1,
+    "int16_t": 2,
+    "int32_t": 4,
+    "FP16": 2,
+    "float": 4,
+}
 QUATERNION = "stateEstimateZ.quat"
 """Attitude in 4 bytes, see ``log_rows.decompressed``."""
 
@@ -88,9 +94,7 @@ _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
         "angles cannot be compared",
         (
             _Choice(_each("stateEstimate.{}", _ANGLES), "float"),
-            _Choice(
-                _each("stabilizer.{}", _ANGLES), "float", _each("stateEstimate.{}", _ANGLES)
-            ),
+            _Choice(_each("stabilizer.{}", _ANGLES), "float", _each("stateEstimate.{}", _ANGLES)),
         ),
     ),
     (
@@ -101,7 +105,7 @@ _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
             _Choice(_each("motor.m{}_rpm", "1234"), "uint16_t", _each("rpm.m{}", "1234")),
         ),
     ),
-)  # fmt: skip
+)
 
 
 def plan_log(listed: Mapping[str, str], wanted: Sequence[str] = (), slow: bool = False) -> LogPlan:

@@ -132,10 +132,19 @@ class LogRows:
         """Totals, as those of packets of telemetry."""
         c = self._counts
         return DecoderCounts(
-            packets=c.packets, malformed=0, samples=c.samples, lost=c.lost, bursts=c.bursts,
-            longest_burst=c.longest_burst, duplicates=0, disagreeing=0, damaged=0, late=c.late,
-            slips=0, restarts=c.restarts,
-        )  # fmt: skip
+            packets=c.packets,
+            malformed=0,
+            samples=c.samples,
+            lost=c.lost,
+            bursts=c.bursts,
+            longest_burst=c.longest_burst,
+            duplicates=0,
+            disagreeing=0,
+            damaged=0,
+            late=c.late,
+            slips=0,
+            restarts=c.restarts,
+        )
 
     def restart(self, plan: LogPlan, period_ms: int) -> None:
         """The craft was asked anew, or again: what follows is another segment."""

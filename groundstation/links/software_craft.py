@@ -81,11 +81,18 @@ class SoftwareCraft:
     def lease(self) -> dict[str, Any]:
         """As ``Pilot.lease``, without what nobody asks for here."""
         return {
-            "uri": self.uri, "firmware": self._firmware, "holds_height": True, "holds_place": True,
+            "uri": self.uri,
+            "firmware": self._firmware,
+            "holds_height": True,
+            "holds_place": True,
             "software": True,
-            "craft": {"uri": self.uri, "vehicle": self.vehicle.name, "firmware": self._firmware,
-                      "id": f"{self._craft.cpu_id:024x}"},
-        }  # fmt: skip
+            "craft": {
+                "uri": self.uri,
+                "vehicle": self.vehicle.name,
+                "firmware": self._firmware,
+                "id": f"{self._craft.cpu_id:024x}",
+            },
+        }
 
     def now_s(self) -> float:
         """Of the craft's clock."""
@@ -121,9 +128,14 @@ class SoftwareCraft:
     ) -> dict[str, Any]:
         """As ``Pilot.setpoint``: signs of the telemetry."""
         entry: dict[str, Any] = {
-            "time_ns": self._time_ns(), "kind": "setpoint", "client": self.client,
-            "roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_dps": yaw_dps, "thrust": thrust,
-        }  # fmt: skip
+            "time_ns": self._time_ns(),
+            "kind": "setpoint",
+            "client": self.client,
+            "roll_deg": roll_deg,
+            "pitch_deg": pitch_deg,
+            "yaw_dps": yaw_dps,
+            "thrust": thrust,
+        }
         more = {"height_m": height_m, "vx_m_s": vx_m_s, "vy_m_s": vy_m_s}
         entry |= {name: value for name, value in more.items() if value is not None}
         if height_m is None:
@@ -199,17 +211,29 @@ class SoftwareCraft:
             "vehicle": {"profile": self.vehicle.name},
         }
         write_mcap(
-            Recording(path, "mcap", samples, commands=self._commands, events=self._events,
-                      tables={TABLE: self._table(samples)}, metadata=metadata),
+            Recording(
+                path,
+                "mcap",
+                samples,
+                commands=self._commands,
+                events=self._events,
+                tables={TABLE: self._table(samples)},
+                metadata=metadata,
+            ),
             path,
-        )  # fmt: skip
+        )
 
     def _table(self, samples: SampleBatch) -> Table:
         """What a daemon's craft says of where it is, and of its thrust. The clock of its packets
         began anywhere."""
         states = self._states
-        rows = np.array([(*one.estimate_m, *one.estimate_m_s, *one.angles_deg[:2], one.thrust)
-                         for one in states], np.float64).reshape(len(states), -1)  # fmt: skip
+        rows = np.array(
+            [
+                (*one.estimate_m, *one.estimate_m_s, *one.angles_deg[:2], one.thrust)
+                for one in states
+            ],
+            np.float64,
+        ).reshape(len(states), -1)
         names: tuple[str, ...] = (*PLACE, *LEAN, THRUST)
         if self.settings.plant != "faithful" and not self.settings.estimated:
             rows, names = rows[:, len(PLACE) :], names[len(PLACE) :]  # no filter says it

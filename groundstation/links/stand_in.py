@@ -215,8 +215,11 @@ class StandInLink(Link):
         self._due_s += behind_s
         if self.speed > 1.0:
             return 0.0
-        self.emit("loss", f"this program stood still for {behind_s:.1f} s: what the craft sent"
-                  " meanwhile is lost, as on a real link")  # fmt: skip
+        self.emit(
+            "loss",
+            f"this program stood still for {behind_s:.1f} s: what the craft sent"
+            " meanwhile is lost, as on a real link",
+        )
         return behind_s * self.speed
 
     async def _close(self) -> None:

@@ -90,10 +90,16 @@ class IsoRing:
         self._slots: dict[int, tuple[Any, int, int]] = {}
         for transfer, buffer in zip(self._transfers, self._buffers, strict=True):
             self._lib.libusb_fill_iso_transfer(
-                transfer, self._handle, endpoint,
-                ctypes.cast(buffer, ctypes.POINTER(ctypes.c_ubyte)), len(buffer), FRAMES,
-                self._callback, None, 0,
-            )  # fmt: skip
+                transfer,
+                self._handle,
+                endpoint,
+                ctypes.cast(buffer, ctypes.POINTER(ctypes.c_ubyte)),
+                len(buffer),
+                FRAMES,
+                self._callback,
+                None,
+                0,
+            )
             self._lib.libusb_set_iso_packet_lengths(transfer, FRAME_BYTES)
             content = transfer.contents
             self._slots[ctypes.addressof(content)] = (

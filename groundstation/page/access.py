@@ -40,8 +40,11 @@ class Access:
     def knows(self, headers: Iterable[tuple[bytes, bytes]]) -> bool:
         """Whether a request's headers hold such a cookie."""
         sent = dict(headers).get(b"cookie", b"").decode("latin-1")
-        values = (pair.partition("=")[2] for pair in sent.split("; ")
-                  if pair.startswith(f"{self.cookie}="))  # fmt: skip
+        values = (
+            pair.partition("=")[2]
+            for pair in sent.split("; ")
+            if pair.startswith(f"{self.cookie}=")
+        )
         return any(map(self.is_session, values))
 
     def change_token(self, cookie: str) -> str:

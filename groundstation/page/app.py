@@ -42,10 +42,19 @@ BODY_MOST = 1 << 16
 STAND_IN_AT = "udp://127.0.0.1:19850"
 """Where the stand-in is asked to take commands, unless the operator says otherwise."""
 ACTIONS = (
-    *("/record/start", "/record/stop", "/record/mark", "/link"),
-    *("/command/stop", "/command/land", "/command/level", "/command/arm", "/command/recover"),
+    "/record/start",
+    "/record/stop",
+    "/record/mark",
+    "/link",
+    "/command/stop",
+    "/command/land",
+    "/command/level",
+    "/command/arm",
+    "/command/recover",
     "/command/connect",
-    *("/jobs/start", "/jobs/cancel", "/models/watch"),
+    "/jobs/start",
+    "/jobs/cancel",
+    "/models/watch",
 )
 """Operations of the control API that a page may ask for, with its own ``/do`` before them."""
 

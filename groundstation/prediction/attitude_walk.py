@@ -85,4 +85,4 @@ def _squared_error(places: Array, gain: float, ahead: int, judged: Mask) -> Arra
 
     followed = lfilter([gain], [1.0, gain - 1.0], places, axis=0)
     error = places[ahead:] - followed[:-ahead]
-    return np.asarray((error[judged] ** 2).mean(axis=0))
+    return (error[judged] ** 2).mean(axis=0)

@@ -33,7 +33,7 @@ def held(values: Array, rows: NDArray[np.int64], count: int) -> Array:
     """Values (m, ...) of the rows (m,) in which there was a reading, repeated until the next one;
     (count, ...)."""
     at = np.searchsorted(rows, np.arange(count), side="right") - 1
-    return np.asarray(values[np.maximum(at, 0)])
+    return values[np.maximum(at, 0)]
 
 
 def between_readings(report: Array) -> Array:

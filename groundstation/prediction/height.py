@@ -53,7 +53,7 @@ def rise_of(attitude: Array, accelerometer: Array) -> Array:
     roll, pitch = filled(attitude[:, :2]).T
     x, y, z = filled(accelerometer).T
     up = -np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
-    return np.asarray(np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0))
+    return np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0)
 
 
 def lifting(driven: Array, begun: int, ended: int, period_s: float) -> tuple[int, int]:
@@ -126,7 +126,7 @@ def _climbed(
     rest = rise[before][still[before]]
     if len(rest) * period_s < LEAST_REST_S:
         return None
-    return np.asarray(np.cumsum(np.cumsum(rise[start:stop] - rest.mean())) * period_s**2)
+    return np.cumsum(np.cumsum(rise[start:stop] - rest.mean())) * period_s**2
 
 
 def _touch_down(rise: Array, stop: int, period_s: float) -> int | None:

@@ -158,8 +158,12 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
     delayed = sensed[:, last] if len(last) else np.zeros((count, 3))
     reached = np.column_stack(
         [
-            *(2.0 * starts[:, 7:10], starts[:, RATE], delayed, starts[:, 3:6]),
-            *(starts[:, driven], sensed[:, before]),
+            2.0 * starts[:, 7:10],
+            starts[:, RATE],
+            delayed,
+            starts[:, 3:6],
+            starts[:, driven],
+            sensed[:, before],
         ]
     )
     a = (reached[0::2] - reached[1::2]).T / (2 * NUDGE)

@@ -34,4 +34,4 @@ def start_velocity(attitude: Array, accelerometer: Array, period_s: float) -> Ar
     acceleration = np.einsum("nij,nj->ni", rotation_matrix(angles), force)
     acceleration[:, 2] -= STANDARD_GRAVITY
     gained = np.cumsum(acceleration, axis=0) * period_s
-    return np.asarray(-gained.mean(axis=0))
+    return -gained.mean(axis=0)

@@ -46,8 +46,22 @@ from groundstation.telemetry.packet import (
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples, packet_counts
 
 THESIS_COLUMNS = (
-    *("Timestamp", "Battery", "Motor1", "Motor2", "Motor3", "Motor4"),
-    *("GyroX", "GyroY", "GyroZ", "AccX", "AccY", "AccZ", "Roll", "Pitch", "Yaw", "Debug"),
+    "Timestamp",
+    "Battery",
+    "Motor1",
+    "Motor2",
+    "Motor3",
+    "Motor4",
+    "GyroX",
+    "GyroY",
+    "GyroZ",
+    "AccX",
+    "AccY",
+    "AccZ",
+    "Roll",
+    "Pitch",
+    "Yaw",
+    "Debug",
 )
 """Header of the thesis's layout (thesis figure 5.7)."""
 

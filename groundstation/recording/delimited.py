@@ -39,8 +39,24 @@ _HEAD_BYTES = 1 << 16
 _SHOWN_BYTES = 1 << 20
 """Of a file's first rows, by whose texts its columns are judged."""
 MISSING = (
-    *(b"", b"NA", b"N/A", b"n/a", b"#N/A", b"<NA>", b"NULL", b"null", b"None", b"none", b"-", b"?"),
-    *(b"NaN", b"nan", b"1.#QNAN", b"-1.#IND", b"1.#IND", b"#NV"),
+    b"",
+    b"NA",
+    b"N/A",
+    b"n/a",
+    b"#N/A",
+    b"<NA>",
+    b"NULL",
+    b"null",
+    b"None",
+    b"none",
+    b"-",
+    b"?",
+    b"NaN",
+    b"nan",
+    b"1.#QNAN",
+    b"-1.#IND",
+    b"1.#IND",
+    b"#NV",
 )
 """Cells without a value, as spreadsheets, R, pandas, databases and C write them."""
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
@@ -244,7 +260,7 @@ class TextTable:
     def _column(self, column: Any, place: int) -> NDArray[np.float64]:
         """A column of Arrow's as numbers. Raises ValueError where a date is none."""
         if place not in self.dated:
-            return np.asarray(column.to_numpy())
+            return column.to_numpy()
         found = [self._value(cell.strip().encode(), place) for cell in column.to_pylist()]
         if None in found:
             raise ValueError

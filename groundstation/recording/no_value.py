@@ -132,4 +132,4 @@ def _means(values: Array, width: int) -> Array:
     sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
     ends = np.minimum(np.arange(len(values)) + width, len(values))
     first = np.maximum(ends - width, 0)
-    return np.asarray((sums[ends] - sums[first]) / np.maximum(ends - first, 1)[:, None])
+    return (sums[ends] - sums[first]) / np.maximum(ends - first, 1)[:, None]

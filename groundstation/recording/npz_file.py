@@ -24,8 +24,15 @@ from groundstation.telemetry.samples import RawBatch
 MOST_RATIO = 100
 """Unpacked over packed: a craft that lies still, four copies of each packet, has 20."""
 _UNREADABLE = (
-    *(zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, RuntimeError),
-    *(MemoryError, SyntaxError, struct.error),
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    ValueError,
+    NotImplementedError,
+    RuntimeError,
+    MemoryError,
+    SyntaxError,
+    struct.error,
 )
 """What zipfile and numpy raise for damaged bytes."""
 LONGEST_S = 1e9

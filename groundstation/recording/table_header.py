@@ -36,8 +36,33 @@ ALIASES = {
 }
 """Other spellings of the units that column maps know."""
 KNOWN = {
-    *("s", "ms", "us", "ns", "V", "mV", "%", "rad/s", "deg/s", "m/s^2", "g", "rad", "deg"),
-    *("rev/s", "rpm", "m", "m/s", "mm", "A", "mA", "W", "Pa", "flags", "1", "-", "C", "degC"),
+    "s",
+    "ms",
+    "us",
+    "ns",
+    "V",
+    "mV",
+    "%",
+    "rad/s",
+    "deg/s",
+    "m/s^2",
+    "g",
+    "rad",
+    "deg",
+    "rev/s",
+    "rpm",
+    "m",
+    "m/s",
+    "mm",
+    "A",
+    "mA",
+    "W",
+    "Pa",
+    "flags",
+    "1",
+    "-",
+    "C",
+    "degC",
 }
 
 

@@ -76,7 +76,7 @@ def told_by_flight(samples: SampleBatch) -> Literal["duty", "command", ""]:
         return ""
 
     def mean(values: Array) -> Array:
-        return np.asarray(np.bincount(place[good], values[good], len(rows))[whole] / count)
+        return np.bincount(place[good], values[good], len(rows))[whole] / count
 
     thrust, supply = np.log(mean(force)), np.log(mean(voltage))
     asked = 0.5 * np.log(mean((duty**2).mean(axis=1)))

@@ -88,8 +88,15 @@ def content_of(path: Path) -> ULogContent:
         ):
             log = ULog(file)
     except (
-        *(ULogException, OSError, ValueError, TypeError, KeyError, IndexError, struct.error),
-        *(AttributeError, MemoryError),
+        ULogException,
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        struct.error,
+        AttributeError,
+        MemoryError,
     ) as error:
         raise RecordingError(
             f"{path}: a damaged ULog, which cannot be read; copy it from the card again"

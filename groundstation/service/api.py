@@ -87,20 +87,36 @@ def _telemetry(station: Station) -> list[Operation]:
 
     return [
         Operation("GET", "/status", "What the daemon is doing", status, answer=Status),
-        Operation("GET", "/events", "The latest events, oldest first", events,
-                  answer=list[LinkEvent]),
+        Operation(
+            "GET", "/events", "The latest events, oldest first", events, answer=list[LinkEvent]
+        ),
         Operation("POST", "/record/start", "Begin a new recording", record_start),
         Operation("POST", "/record/stop", "Finish the recording", record_stop),
-        Operation("POST", "/record/mark", "Put a note into the recording",
-                  _done(lambda body: station.mark(body.text, body.details)),
-                  requests.Mark, requests.Done),
-        Operation("GET", "/recordings", "The folder's recordings by name", recordings,
-                  answer=list[CatalogueEntry]),
-        Operation("POST", "/link", "Receive from another link, recording on", switch,
-                  requests.LinkName, Status),
-        Operation("GET", "/devices", "What is plugged in or in reach", devices,
-                  answer=Devices),
-    ]  # fmt: skip
+        Operation(
+            "POST",
+            "/record/mark",
+            "Put a note into the recording",
+            _done(lambda body: station.mark(body.text, body.details)),
+            requests.Mark,
+            requests.Done,
+        ),
+        Operation(
+            "GET",
+            "/recordings",
+            "The folder's recordings by name",
+            recordings,
+            answer=list[CatalogueEntry],
+        ),
+        Operation(
+            "POST",
+            "/link",
+            "Receive from another link, recording on",
+            switch,
+            requests.LinkName,
+            Status,
+        ),
+        Operation("GET", "/devices", "What is plugged in or in reach", devices, answer=Devices),
+    ]
 
 
 def _jobs(station: Station) -> list[Operation]:
@@ -109,8 +125,12 @@ def _jobs(station: Station) -> list[Operation]:
 
     async def job_start(body: requests.NewJob) -> Any:
         return station.jobs.add(
-            *(body.kind, body.recordings, body.validate, body.model),
-            *(body.effects, body.measured_rotors),
+            body.kind,
+            body.recordings,
+            body.validate,
+            body.model,
+            body.effects,
+            body.measured_rotors,
         )
 
     async def job_log(body: requests.JobName) -> Any:
@@ -132,19 +152,53 @@ def _jobs(station: Station) -> list[Operation]:
 
     return [
         Operation("GET", "/jobs", "Work on recordings, the oldest first", jobs, answer=list[Job]),
-        Operation("POST", "/jobs/start", "Begin a job, or let it wait for its turn", job_start,
-                  requests.NewJob, Job),
-        Operation("POST", "/jobs/log", "The end of a job's log", job_log,
-                  requests.JobName, requests.JobLog),
-        Operation("POST", "/jobs/cancel", "End a job that waits or runs", job_cancel,
-                  requests.JobName, Job),
-        Operation("GET", "/models", "The models that jobs have made, and the built-in one", models,
-                  answer=list[ModelEntry]),
-        Operation("GET", "/effects", "The effects that a model can have", effects,
-                  answer=list[requests.EffectEntry]),
-        Operation("POST", "/models/watch", "Watch the craft with a model, or with none", watch,
-                  requests.Watched, Status),
-    ]  # fmt: skip
+        Operation(
+            "POST",
+            "/jobs/start",
+            "Begin a job, or let it wait for its turn",
+            job_start,
+            requests.NewJob,
+            Job,
+        ),
+        Operation(
+            "POST",
+            "/jobs/log",
+            "The end of a job's log",
+            job_log,
+            requests.JobName,
+            requests.JobLog,
+        ),
+        Operation(
+            "POST",
+            "/jobs/cancel",
+            "End a job that waits or runs",
+            job_cancel,
+            requests.JobName,
+            Job,
+        ),
+        Operation(
+            "GET",
+            "/models",
+            "The models that jobs have made, and the built-in one",
+            models,
+            answer=list[ModelEntry],
+        ),
+        Operation(
+            "GET",
+            "/effects",
+            "The effects that a model can have",
+            effects,
+            answer=list[requests.EffectEntry],
+        ),
+        Operation(
+            "POST",
+            "/models/watch",
+            "Watch the craft with a model, or with none",
+            watch,
+            requests.Watched,
+            Status,
+        ),
+    ]
 
 
 def _settings(station: Station) -> list[Operation]:
@@ -155,13 +209,23 @@ def _settings(station: Station) -> list[Operation]:
         return requests.PageAddress(url=station.page.address())
 
     return [
-        Operation("POST", "/page/address", "A new address of the operator's page", page_address,
-                  answer=requests.PageAddress),
-        Operation("POST", "/page/admit", "Use up the token of such an address",
-                  _done(lambda body: station.page.admit(body.token)),
-                  requests.PageToken, requests.Done),
+        Operation(
+            "POST",
+            "/page/address",
+            "A new address of the operator's page",
+            page_address,
+            answer=requests.PageAddress,
+        ),
+        Operation(
+            "POST",
+            "/page/admit",
+            "Use up the token of such an address",
+            _done(lambda body: station.page.admit(body.token)),
+            requests.PageToken,
+            requests.Done,
+        ),
         Operation("GET", "/config", "Every key of the configuration in force", configuration),
-    ]  # fmt: skip
+    ]
 
 
 def _lease(station: Station) -> list[Operation]:
@@ -193,26 +257,74 @@ def _lease(station: Station) -> list[Operation]:
         return requests.Values(values=await commander.write_parameters(body.token, body.values))
 
     return [
-        Operation("POST", "/command/acquire", "Become the one client that commands", acquire,
-                  requests.Acquire, requests.Lease),
-        Operation("POST", "/command/release",
-                  "Land the craft, or stop its motors, and give the lease back",
-                  _done(lambda body: commander.release(body.token)),
-                  requests.Holder, requests.Done),
-        Operation("POST", "/command/keep", "Keep the lease while nothing is sent",
-                  _done(lambda body: commander.keep(body.token)), requests.Holder, requests.Done),
-        Operation("POST", "/command/setpoint", "Send one setpoint, up to 100 a second", setpoint,
-                  requests.Setpoint, requests.Sent, limited=False),
-        Operation("POST", "/command/stop_own", "Stop the motors and keep the lease", stop_own,
-                  requests.Holder, requests.Stopped, limited=False),
-        Operation("POST", "/command/land_own", "Land the craft and keep the lease", land_own,
-                  requests.Holder, requests.Stopped, limited=False),
-        Operation("POST", "/command/announce", "Say what is about to happen to the craft",
-                  _done(lambda body: commander.announce(body.token, body.text, body.in_s)),
-                  requests.Announcement, requests.Done),
-        Operation("POST", "/command/parameters", "Write parameters and read them back",
-                  write_parameters, requests.Parameters, requests.Values),
-    ]  # fmt: skip
+        Operation(
+            "POST",
+            "/command/acquire",
+            "Become the one client that commands",
+            acquire,
+            requests.Acquire,
+            requests.Lease,
+        ),
+        Operation(
+            "POST",
+            "/command/release",
+            "Land the craft, or stop its motors, and give the lease back",
+            _done(lambda body: commander.release(body.token)),
+            requests.Holder,
+            requests.Done,
+        ),
+        Operation(
+            "POST",
+            "/command/keep",
+            "Keep the lease while nothing is sent",
+            _done(lambda body: commander.keep(body.token)),
+            requests.Holder,
+            requests.Done,
+        ),
+        Operation(
+            "POST",
+            "/command/setpoint",
+            "Send one setpoint, up to 100 a second",
+            setpoint,
+            requests.Setpoint,
+            requests.Sent,
+            limited=False,
+        ),
+        Operation(
+            "POST",
+            "/command/stop_own",
+            "Stop the motors and keep the lease",
+            stop_own,
+            requests.Holder,
+            requests.Stopped,
+            limited=False,
+        ),
+        Operation(
+            "POST",
+            "/command/land_own",
+            "Land the craft and keep the lease",
+            land_own,
+            requests.Holder,
+            requests.Stopped,
+            limited=False,
+        ),
+        Operation(
+            "POST",
+            "/command/announce",
+            "Say what is about to happen to the craft",
+            _done(lambda body: commander.announce(body.token, body.text, body.in_s)),
+            requests.Announcement,
+            requests.Done,
+        ),
+        Operation(
+            "POST",
+            "/command/parameters",
+            "Write parameters and read them back",
+            write_parameters,
+            requests.Parameters,
+            requests.Values,
+        ),
+    ]
 
 
 def _stored(station: Station) -> list[Operation]:
@@ -229,14 +341,30 @@ def _stored(station: Station) -> list[Operation]:
         return requests.StoredValues(parameters=await keeping.clear(body.token, body.names))
 
     return [
-        Operation("GET", "/command/stored", "What the craft keeps while it is switched off", stored,
-                  answer=requests.StoredValues),
-        Operation("POST", "/command/stored/store",
-                  "Let the craft keep present values while it is switched off", store,
-                  requests.StoredNames, requests.StoredValues),
-        Operation("POST", "/command/stored/clear", "Let the craft forget what it has stored", clear,
-                  requests.StoredNames, requests.StoredValues),
-    ]  # fmt: skip
+        Operation(
+            "GET",
+            "/command/stored",
+            "What the craft keeps while it is switched off",
+            stored,
+            answer=requests.StoredValues,
+        ),
+        Operation(
+            "POST",
+            "/command/stored/store",
+            "Let the craft keep present values while it is switched off",
+            store,
+            requests.StoredNames,
+            requests.StoredValues,
+        ),
+        Operation(
+            "POST",
+            "/command/stored/clear",
+            "Let the craft forget what it has stored",
+            clear,
+            requests.StoredNames,
+            requests.StoredValues,
+        ),
+    ]
 
 
 def _command(station: Station) -> list[Operation]:
@@ -272,25 +400,69 @@ def _command(station: Station) -> list[Operation]:
         return requests.Values(values=await commander.restore())
 
     return [
-        Operation("POST", "/command/stop", "Stop the motors, whoever commands", stop,
-                  answer=requests.Stopped, limited=False),
-        Operation("POST", "/command/land", "Land the craft, whoever commands", land,
-                  answer=requests.Stopped, limited=False),
-        Operation("POST", "/command/level", "Hold the craft level, or no more",
-                  _done(lambda body: operator.level(body.on)),
-                  requests.Level, requests.Done, limited=False),
-        Operation("POST", "/command/arm", "Arm the motors or disarm them, whoever commands", arm,
-                  requests.Armed, requests.Done),
-        Operation("POST", "/command/recover", "Let a crashed craft be ready again", recover,
-                  answer=requests.Done),
-        Operation("POST", "/command/connect", "Command the craft at another address", connect,
-                  requests.CommandUri, Status),
-        Operation("GET", "/command/parameters", "The craft's parameters", parameters,
-                  answer=requests.Values),
-        Operation("POST", "/command/restore",
-                  "Write former parameters back; what was, since the daemon began", restore,
-                  answer=requests.Values),
-    ]  # fmt: skip
+        Operation(
+            "POST",
+            "/command/stop",
+            "Stop the motors, whoever commands",
+            stop,
+            answer=requests.Stopped,
+            limited=False,
+        ),
+        Operation(
+            "POST",
+            "/command/land",
+            "Land the craft, whoever commands",
+            land,
+            answer=requests.Stopped,
+            limited=False,
+        ),
+        Operation(
+            "POST",
+            "/command/level",
+            "Hold the craft level, or no more",
+            _done(lambda body: operator.level(body.on)),
+            requests.Level,
+            requests.Done,
+            limited=False,
+        ),
+        Operation(
+            "POST",
+            "/command/arm",
+            "Arm the motors or disarm them, whoever commands",
+            arm,
+            requests.Armed,
+            requests.Done,
+        ),
+        Operation(
+            "POST",
+            "/command/recover",
+            "Let a crashed craft be ready again",
+            recover,
+            answer=requests.Done,
+        ),
+        Operation(
+            "POST",
+            "/command/connect",
+            "Command the craft at another address",
+            connect,
+            requests.CommandUri,
+            Status,
+        ),
+        Operation(
+            "GET",
+            "/command/parameters",
+            "The craft's parameters",
+            parameters,
+            answer=requests.Values,
+        ),
+        Operation(
+            "POST",
+            "/command/restore",
+            "Write former parameters back; what was, since the daemon began",
+            restore,
+            answer=requests.Values,
+        ),
+    ]
 
 
 def permitted_link(name: str, folder: Path) -> str:

@@ -236,9 +236,16 @@ class Commander:
                 roll_deg = pitch_deg = yaw_dps = 0.0
                 vx_m_s = vy_m_s = 0.0 if hovers else None
             sent_ns = link.setpoint(
-                roll_deg, pitch_deg, yaw_dps, thrust, height_m=height_m, vx_m_s=vx_m_s,
-                vy_m_s=vy_m_s, client=lease.client, until_s=made_s + LIFE_S,
-            )  # fmt: skip
+                roll_deg,
+                pitch_deg,
+                yaw_dps,
+                thrust,
+                height_m=height_m,
+                vx_m_s=vx_m_s,
+                vy_m_s=vy_m_s,
+                client=lease.client,
+                until_s=made_s + LIFE_S,
+            )
             flew = lease.flies
             lease.steer(made_s, thrust, height_m, hovers)
             if lease.flies:

@@ -20,8 +20,13 @@ def own_program(*words: str, niceness: int = 5) -> tuple[str, ...]:
     """What starts Python with ``words`` so that it ends with this process. niceness: beyond
     ours."""
     return (
-        *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), str(niceness)),
-        *(sys.executable, *words),
+        sys.executable,
+        "-m",
+        "groundstation.viewer.leash",
+        str(os.getpid()),
+        str(niceness),
+        sys.executable,
+        *words,
     )
 
 

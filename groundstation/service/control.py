@@ -169,8 +169,12 @@ def _others(
 
         return StreamingResponse(messages(), media_type="text/event-stream")
 
-    return {"/health": health, "/metrics": scrape, "/openapi.json": schema_of_all,
-            "/stream": stream}  # fmt: skip
+    return {
+        "/health": health,
+        "/metrics": scrape,
+        "/openapi.json": schema_of_all,
+        "/stream": stream,
+    }
 
 
 class _TooLargeError(GroundStationError):

@@ -38,8 +38,13 @@ STOPS = "GROUNDSTATION_STOPS"
 """How often the operator had stopped or landed a craft when a person began the job."""
 CUT = "the daemon was ended while this ran"
 _ENTRY, _LOG, _REPORT, _MODEL, _GAINS, _PROGRESS = (
-    "job.json", "log.txt", "report.html", "model.json", "gains.toml", "progress.json",
-)  # fmt: skip
+    "job.json",
+    "log.txt",
+    "report.html",
+    "model.json",
+    "gains.toml",
+    "progress.json",
+)
 
 LEARNT = "learnt"
 """The folder of ``learn`` in a job's own."""

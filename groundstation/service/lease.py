@@ -136,9 +136,10 @@ class Leases:
             what = LANDS if lands else "its motors are asked to stop"
             done = "the craft is landed" if lands else "the failsafe has asked the motors to stop"
             self.end(
-                f"{lease.client} has vanished: {what}", kind="fault",
+                f"{lease.client} has vanished: {what}",
+                kind="fault",
                 why=f"no setpoint came in time: {done}",
-            )  # fmt: skip
+            )
         elif lease.has_lapsed(now_s, limits):
             text = f"{lease.client} was silent for {limits.lease_s:g} s: its lease is over"
             self.leave(text, FAILSAFE, why=text)

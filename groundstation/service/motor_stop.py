@@ -204,6 +204,13 @@ def send_level(
     # stop it, or the stop that follows
     with contextlib.suppress(LinkError, BadInputError):
         link.setpoint(
-            0.0, 0.0, 0.0, thrust, height_m=height_m, vx_m_s=still, vy_m_s=still,
-            client=client, until_s=until_s,
-        )  # fmt: skip
+            0.0,
+            0.0,
+            0.0,
+            thrust,
+            height_m=height_m,
+            vx_m_s=still,
+            vy_m_s=still,
+            client=client,
+            until_s=until_s,
+        )

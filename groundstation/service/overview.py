@@ -92,7 +92,9 @@ def _command(station: Station) -> dict[str, Any] | None:
         "stops": commander.operator.stops,
         "landing": commander.lands,
         "announced": _announced(lease),
-        "unproven": {} if lease is not None else {
+        "unproven": {}
+        if lease is not None
+        else {
             name: {"former": one.former, "now": now, "client": one.client}
             for name, (one, now) in commander.written.left(link).items()
         },
@@ -101,7 +103,7 @@ def _command(station: Station) -> dict[str, Any] | None:
         "craft": identity_of(link),
         "holds_height": link.holds_height,
         "place": place(link),
-    }  # fmt: skip
+    }
 
 
 def place(link: CommandLink | None) -> Place | None:

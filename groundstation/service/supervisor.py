@@ -52,8 +52,11 @@ class Supervisor:
 
     def dead(self) -> list[str]:
         """Tasks that are not there any more although nobody closed them."""
-        own = [name for name, task in self._tasks.items()
-               if task.done() and self._counts[name].state != "ended"]  # fmt: skip
+        own = [
+            name
+            for name, task in self._tasks.items()
+            if task.done() and self._counts[name].state != "ended"
+        ]
         return own + [name for name, task in self._adopted.items() if task.done()]
 
     def status(self) -> dict[str, Any]:

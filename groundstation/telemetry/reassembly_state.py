@@ -14,17 +14,49 @@ VARIANTS = 4
 
 # indices into State.n (int64)
 (
-    HEAD, SEGMENT, MAIN, MAIN_LAST, MAIN_INDEX, EMITTED, BUFFERED,
-    PENDING, MODE, PEND_LAST, PEND_INDEX, EVIDENCE, MISSES, MAIN_SINCE, ORPHANS, ORPHAN_AGE,
-    FORCED, HINT,
-    OUT, COPIES, DISAGREED, DAMAGED, LATE, LOST, BURSTS, LONGEST, SLIPS, RESTARTS, EMIT_SEGMENT,
+    HEAD,
+    SEGMENT,
+    MAIN,
+    MAIN_LAST,
+    MAIN_INDEX,
+    EMITTED,
+    BUFFERED,
+    PENDING,
+    MODE,
+    PEND_LAST,
+    PEND_INDEX,
+    EVIDENCE,
+    MISSES,
+    MAIN_SINCE,
+    ORPHANS,
+    ORPHAN_AGE,
+    FORCED,
+    HINT,
+    OUT,
+    COPIES,
+    DISAGREED,
+    DAMAGED,
+    LATE,
+    LOST,
+    BURSTS,
+    LONGEST,
+    SLIPS,
+    RESTARTS,
+    EMIT_SEGMENT,
     INTEGERS,
-) = range(30)  # fmt: skip
+) = range(30)
 # indices into State.f (float64): grid position (ticks), envelope (ns), stamps (ns)
 (
-    MAIN_GRID, MAIN_ENVELOPE, PEND_GRID, PEND_ENVELOPE, PEND_HOST, PEND_FLOOR,
-    FLOOR_TICKS, FLOOR_HOST, FLOATS,
-) = range(9)  # fmt: skip
+    MAIN_GRID,
+    MAIN_ENVELOPE,
+    PEND_GRID,
+    PEND_ENVELOPE,
+    PEND_HOST,
+    PEND_FLOOR,
+    FLOOR_TICKS,
+    FLOOR_HOST,
+    FLOATS,
+) = range(9)
 NONE, HOLD, SUSPECT = 0, 1, 2
 """Modes of the pending chain."""
 OPEN, GIVEN, BROKEN, TOO_LATE, MERGED = 0, 1, 2, 3, 4

@@ -129,8 +129,15 @@ def _table(axis: str, printed: dict[Order, tuple[float, float]]) -> Callable[[Wo
         chosen = found.search.chosen
         if best.order not in printed:
             ours = best.rms_fit, best.rms_validation
-            rows.append([f"{best.label}, best here", None, None, *ours,
-                         "plausible" if best.plausible else "not plausible"])  # fmt: skip
+            rows.append(
+                [
+                    f"{best.label}, best here",
+                    None,
+                    None,
+                    *ours,
+                    "plausible" if best.plausible else "not plausible",
+                ]
+            )
         return Made(
             "The thesis's procedure: 88 structures on angles, least squares, ranked by free run,"
             f" here over {WINDOW_S:g} s at a time; RMS in rad. Chosen here: {chosen.label}. The"
@@ -212,8 +219,9 @@ def _performance(workshop: Workshop) -> Made:
         printed = ROLL_ARX[CHOSEN] if one.order == CHOSEN else (None, None)
         on_pitch = ROLL_ON_PITCH if one.order == CHOSEN else None
         rows.append([f"roll, {words}", *printed, one.rms_fit, one.rms_validation])
-        rows.append([f"pitch by it, {words}", None, on_pitch, None,
-                     free_run_rms(one.axis, pitch.held)])  # fmt: skip
+        rows.append(
+            [f"pitch by it, {words}", None, on_pitch, None, free_run_rms(one.axis, pitch.held)]
+        )
     return Made(
         "Roll's model serves pitch as well as roll, as the thesis found.",
         [
@@ -281,8 +289,11 @@ FITS: tuple[tuple[str, Order], ...] = (
 TESTED: tuple[Order, ...] = ((2, 2, 0), (2, 1, 8), (3, 1, 4), (4, 2, 0))
 ENTRIES = (
     *(Entry(f"Figure {n}", f"{label(o)} roll model", _fit("roll", o)) for n, o in FITS),
-    Entry("Table 7.3", "Top results of the iterative ARX identification (roll)",
-          _table("roll", ROLL_ARX)),
+    Entry(
+        "Table 7.3",
+        "Top results of the iterative ARX identification (roll)",
+        _table("roll", ROLL_ARX),
+    ),
     *(
         Entry(f"Figure 7.{45 + i}", f"{label(o)} roll model step responses", _steps("roll", o))
         for i, o in enumerate(TESTED)
@@ -298,4 +309,4 @@ ENTRIES = (
     Entry("Figure 7.55", f"{label(CHOSEN)} yaw model step responses", _steps("yaw", CHOSEN)),
     Entry("Figure 7.56", f"{label(CHOSEN)} yaw model cross-correlation", _cross("yaw", CHOSEN)),
     Entry("Section 7.3.8", "Model decision", _decision),
-)  # fmt: skip
+)

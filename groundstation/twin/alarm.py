@@ -46,10 +46,16 @@ SPREAD = 0.4549
 """Median of a squared standard normal number."""
 
 FAMILIES = {
-    "gyro_x": "roll", "roll": "roll", "gyro_y": "pitch", "pitch": "pitch", "gyro_z": "yaw",
-    "yaw": "yaw", "accelerometer_x": "accelerometer_x", "accelerometer_y": "accelerometer_y",
+    "gyro_x": "roll",
+    "roll": "roll",
+    "gyro_y": "pitch",
+    "pitch": "pitch",
+    "gyro_z": "yaw",
+    "yaw": "yaw",
+    "accelerometer_x": "accelerometer_x",
+    "accelerometer_y": "accelerometer_y",
     "accelerometer_z": "accelerometer_z",
-}  # fmt: skip
+}
 """An angle and its rate disagree together: one event."""
 
 
@@ -177,13 +183,12 @@ class Judge:
             clear = np.abs(sums[mine]) >= NAMED * np.abs(sums[mine]).max()
             best = int(mine[np.argmax(np.where(clear, np.abs(whole[mine]), -1.0))])
             episode = self._follow(
-                *(
-                    family,
-                    best,
-                    float(np.abs(sums[mine]).max()),
-                    float(max(abs(whole[best]), abs(sums[best]))),
-                ),
-                *(int(windows[best]), block),
+                family,
+                best,
+                float(np.abs(sums[mine]).max()),
+                float(max(abs(whole[best]), abs(sums[best]))),
+                int(windows[best]),
+                block,
             )
             if episode is not None:
                 told.append(episode)
@@ -246,8 +251,12 @@ class Judge:
                 del self._open[family]
                 return None
             one.told = Episode(
-                *(KINDS[one.kind].place, one.statistic, one.begin_s, block.last_s),
-                *(block.segment, block.host_ns),
+                KINDS[one.kind].place,
+                one.statistic,
+                one.begin_s,
+                block.last_s,
+                block.segment,
+                block.host_ns,
             )
             return one.told
         if value >= RETURNED * self._limit:
@@ -268,8 +277,14 @@ class Judge:
         told = one.told
         assert told is not None
         return Episode(
-            *(told.place, one.statistic, told.begin_s, told.noticed_s, told.segment, host_ns),
-            *(end_s, why),
+            told.place,
+            one.statistic,
+            told.begin_s,
+            told.noticed_s,
+            told.segment,
+            host_ns,
+            end_s,
+            why,
         )
 
 

@@ -177,7 +177,7 @@ class _Stretch:
         flying, judged = self._flown(piece, drive)
         height = np.where(flying, np.inf, 0.0)
         seen, self._carry = observe_part(
-            *(piece, drive, self._gains, flying, fresh), height_m=height, carry=self._carry
+            piece, drive, self._gains, flying, fresh, height_m=height, carry=self._carry
         )
         rows = np.arange(done, done + count + 1)
         since_lift = np.asarray((rows - self._lifted) * self.rows.period_s, np.float64)
@@ -235,8 +235,10 @@ class _Stretch:
         count = len(KINDS)
         square = np.zeros(10)
         scores = (
-            *(np.zeros((9, count)), np.zeros((9, count))),
-            *(np.zeros((9, len(SHARED), count)), np.zeros((9, len(SHARED), count))),
+            np.zeros((9, count)),
+            np.zeros((9, count)),
+            np.zeros((9, len(SHARED), count)),
+            np.zeros((9, len(SHARED), count)),
         )
         if not flying[1:].any():
             self._open = _Open(len(self._advance))
@@ -281,7 +283,7 @@ class _Stretch:
         self._gains = gains_of(self._owner.model, period, noise)
         self._advance, self._shown = _error_dynamics(self._gains, period, lean)
         self._expected = _expected(
-            *(self._gains, self._advance, self._shown, self._horizons, period, lean)
+            self._gains, self._advance, self._shown, self._horizons, period, lean
         )
         self._tuned = noise is not None
 
@@ -326,7 +328,7 @@ def _later(mask: Mask, rows: int) -> Mask:
     """Rows at which, or at most ``rows`` after which, the mask holds."""
     count = np.concatenate([[0], np.cumsum(mask)])
     last = np.minimum(np.arange(len(mask)) + rows + 1, len(mask))
-    return np.asarray(count[last] > count[: len(mask)])
+    return count[last] > count[: len(mask)]
 
 
 def _error_dynamics(gains: Gains, period_s: float, lean: bool) -> tuple[Array, Array]:

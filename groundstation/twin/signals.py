@@ -68,25 +68,55 @@ def _kinds() -> tuple[Kind, ...]:
     for axis, (own, other) in enumerate((("roll", "pitch"), ("pitch", "roll"))):
         rate, crossed, along = (("p", "qr", "v"), ("q", "pr", "u"))[axis]
         add(
-            *("torque", axis, (WHOLE, "thrust"), (TILTING, f"{own} torque")),
-            *((TILTING, f"{own} change"), (TILTING, f"{other} torque"), (YAWING, "yaw torque")),
-            *((TURNING, rate), (SEVERAL, crossed), ("translation", along)),
-            *((YAWING, f"{other} momentum"), (BRAKING, f"{own} braking")),
+            "torque",
+            axis,
+            (WHOLE, "thrust"),
+            (TILTING, f"{own} torque"),
+            (TILTING, f"{own} change"),
+            (TILTING, f"{other} torque"),
+            (YAWING, "yaw torque"),
+            (TURNING, rate),
+            (SEVERAL, crossed),
+            ("translation", along),
+            (YAWING, f"{other} momentum"),
+            (BRAKING, f"{own} braking"),
         )
     add(
-        *("torque", 2, (WHOLE, "thrust"), (YAWING, "yaw torque"), (TILTING, "roll torque")),
-        *((TILTING, "pitch torque"), (SPINNING, "r"), (SEVERAL, "pq")),
-        *((ROTORS, "spin change"), (ROTORS, "yaw change"), (BRAKING, "yaw braking")),
+        "torque",
+        2,
+        (WHOLE, "thrust"),
+        (YAWING, "yaw torque"),
+        (TILTING, "roll torque"),
+        (TILTING, "pitch torque"),
+        (SPINNING, "r"),
+        (SEVERAL, "pq"),
+        (ROTORS, "spin change"),
+        (ROTORS, "yaw change"),
+        (BRAKING, "yaw braking"),
     )
     for axis, (along, lever) in enumerate((("u", "pitch torque"), ("v", "roll torque"))):
         add(
-            *("force", axis, (WHOLE, "one"), ("translation", along), (TILTING, lever)),
-            *((YAWING, "yaw torque"), ("high thrust", "more thrust"), (SPINNING, "rr")),
+            "force",
+            axis,
+            (WHOLE, "one"),
+            ("translation", along),
+            (TILTING, lever),
+            (YAWING, "yaw torque"),
+            ("high thrust", "more thrust"),
+            (SPINNING, "rr"),
         )
     add(
-        *("force", 2, (WHOLE, "one"), ("high thrust", "more thrust"), ("climb", "w")),
-        *(("thrust change", "thrust change"), (BRAKING, "braking"), ("near ground", "near")),
-        *((TILTING, "roll torque"), (TILTING, "pitch torque"), (TURNING, "pp+qq")),
+        "force",
+        2,
+        (WHOLE, "one"),
+        ("high thrust", "more thrust"),
+        ("climb", "w"),
+        ("thrust change", "thrust change"),
+        (BRAKING, "braking"),
+        ("near ground", "near"),
+        (TILTING, "roll torque"),
+        (TILTING, "pitch torque"),
+        (TURNING, "pp+qq"),
     )
     for axis, own in enumerate(("roll", "pitch", "yaw")):
         add("gyro", axis, (YAWING if axis == 2 else TILTING, f"{own} torque"))
@@ -216,14 +246,24 @@ class Drives:
             **{f"{a} change": change[:, 2 + k] for k, a in enumerate(("roll", "pitch", "yaw"))},
             **{f"{a} braking": mixed[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
             "braking": slowed.sum(axis=1),
-            "p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q, "rr": r * r,
+            "p": p,
+            "q": q,
+            "r": r,
+            "qr": q * r,
+            "pr": p * r,
+            "pq": p * q,
+            "rr": r * r,
             "pp+qq": p * p + q * q,
-            "u": u, "v": v, "w": w,
-            "pitch momentum": q * spin, "roll momentum": p * spin,
+            "u": u,
+            "v": v,
+            "w": w,
+            "pitch momentum": q * spin,
+            "roll momentum": p * spin,
             "spin change": np.diff(speed @ SPIN) * REVOLUTION / period,
-            "tilt x": turn[:, 2, 1], "tilt y": -turn[:, 2, 0],
+            "tilt x": turn[:, 2, 1],
+            "tilt y": -turn[:, 2, 0],
             "near": near,
-        }  # fmt: skip
+        }
 
 
 class Memory:

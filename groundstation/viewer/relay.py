@@ -153,20 +153,26 @@ class Relay:
             if len(head) > HEAD_MOST:
                 return None
         request, *lines = head[:-4].split(b"\r\n")
-        fields = [(name.strip().lower(), value.strip())
-                  for name, _, value in (line.partition(b":") for line in lines)]  # fmt: skip
+        fields = [
+            (name.strip().lower(), value.strip())
+            for name, _, value in (line.partition(b":") for line in lines)
+        ]
         hosts = [value.lower() for name, value in fields if name == b"host"]
         origins = {value.lower() for name, value in fields if name == b"origin"}
         if len(hosts) != 1 or hosts[0] not in self._hosts or not origins <= self._allowed:
             stranger = b" ".join(origins or hosts).decode(errors="replace")
             self._tell(f"a page of {stranger[:100]} asked for the live view and was refused")
-            writer.write(b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\n"
-                         b"Content-Length: 0\r\n\r\n")  # fmt: skip
+            writer.write(
+                b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+            )
             await writer.drain()
             return None
         # one request for each connection: the next one is looked at too
-        kept = [line for line, (name, _) in zip(lines, fields, strict=True)
-                if name not in (b"connection", b"keep-alive", b"upgrade")]  # fmt: skip
+        kept = [
+            line
+            for line, (name, _) in zip(lines, fields, strict=True)
+            if name not in (b"connection", b"keep-alive", b"upgrade")
+        ]
         return b"\r\n".join([request, *kept, b"Connection: close", b"", b""])
 
     async def _copy_down(self, there: asyncio.StreamReader, client: asyncio.StreamWriter) -> None:

@@ -38,10 +38,28 @@ GROUPS = (
         f"{TWIN}/attitude", slice(6, 9), 180 / np.pi, ("roll", "pitch", "yaw"), (ROLL, PITCH, YAW)
     ),
 )
-GAPS = ("gyro x", "gyro y", "gyro z", "accelerometer x", "accelerometer y", "accelerometer z",
-        "roll", "pitch", "yaw")  # fmt: skip
-GAP_COLORS = (ROLL, PITCH, YAW, (255, 167, 38), (212, 225, 87), (38, 198, 218),
-              (240, 150, 150), (170, 220, 170), (150, 195, 250))  # fmt: skip
+GAPS = (
+    "gyro x",
+    "gyro y",
+    "gyro z",
+    "accelerometer x",
+    "accelerometer y",
+    "accelerometer z",
+    "roll",
+    "pitch",
+    "yaw",
+)
+GAP_COLORS = (
+    ROLL,
+    PITCH,
+    YAW,
+    (255, 167, 38),
+    (212, 225, 87),
+    (38, 198, 218),
+    (240, 150, 150),
+    (170, 220, 170),
+    (150, 195, 250),
+)
 
 
 class TwinLog:

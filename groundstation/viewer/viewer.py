@@ -80,9 +80,10 @@ class Viewer:
         self.mode = mode
         self.port = port
         self.web_port = web_port
-        self._layout = "+".join(
-            name for name, shown in (("twin", twin), ("tables", tables)) if shown
-        ) or "plain"  # fmt: skip
+        self._layout = (
+            "+".join(name for name, shown in (("twin", twin), ("tables", tables)) if shown)
+            or "plain"
+        )
         self._on_event = on_event or (lambda kind, text: None)
         self._recording = f"live-{uuid.uuid4().hex[:12]}"
         self._outbox = Outbox()
@@ -252,17 +253,33 @@ class Viewer:
             address = f"127.{'.'.join(str(1 + secrets.randbelow(254)) for _ in range(3))}"
             port, web_port = free_port(address), free_port(address)
             self._inner = address, port
-            self._server = Child([
-                str(rerun_program()), "--serve-web", "--bind", address,
-                "--port", str(port), "--web-viewer-port", str(web_port),
-                "--server-memory-limit", SERVER_MEMORY,
-            ])  # fmt: skip
+            self._server = Child(
+                [
+                    str(rerun_program()),
+                    "--serve-web",
+                    "--bind",
+                    address,
+                    "--port",
+                    str(port),
+                    "--web-viewer-port",
+                    str(web_port),
+                    "--server-memory-limit",
+                    SERVER_MEMORY,
+                ]
+            )
             numbers = [one.fileno() for one in self._listening]
             self._relay = Child(
-                [sys.executable, "-m", "groundstation.viewer.relay", *map(str, numbers),
-                 address, str(port), str(web_port)],
+                [
+                    sys.executable,
+                    "-m",
+                    "groundstation.viewer.relay",
+                    *map(str, numbers),
+                    address,
+                    str(port),
+                    str(web_port),
+                ],
                 pass_fds=numbers,
-            )  # fmt: skip
+            )
             self._relay_heard_at = now
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
@@ -270,10 +287,15 @@ class Viewer:
             self._channel = ours
             feeder = [sys.executable, "-m", "groundstation.viewer.feeder"]
             self._feeder = Child(
-                [*feeder, str(theirs.fileno()), *map(str, self._inner), self._recording,
-                 self._layout],
+                [
+                    *feeder,
+                    str(theirs.fileno()),
+                    *map(str, self._inner),
+                    self._recording,
+                    self._layout,
+                ],
                 pass_fds=[theirs.fileno()],
-            )  # fmt: skip
+            )
         self._heard_at, self._ready_at = now, None
 
     def _listen(self, now: float) -> None:
@@ -308,10 +330,19 @@ class Viewer:
 
     def _open_window(self) -> None:
         if self._wants_window and self._window is None:
-            self._window = Child([
-                str(rerun_program()), "--connect", self._address(), "--bind", "127.0.0.1",
-                "--memory-limit", WINDOW_MEMORY, "--hide-welcome-screen", "--expect-data-soon",
-            ])  # fmt: skip
+            self._window = Child(
+                [
+                    str(rerun_program()),
+                    "--connect",
+                    self._address(),
+                    "--bind",
+                    "127.0.0.1",
+                    "--memory-limit",
+                    WINDOW_MEMORY,
+                    "--hide-welcome-screen",
+                    "--expect-data-soon",
+                ]
+            )
 
     def _watch_window(self) -> None:
         if self._window is None:

@@ -78,7 +78,7 @@ def _freshest(outputs: Array, decimate: int) -> int:
 def _block_means(values: Array, kept: NDArray[np.intp], decimate: int) -> Array:
     """Means over the rows that end with each kept one."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
-    return np.asarray((sums[kept + 1] - sums[kept + 1 - decimate]) / decimate)
+    return (sums[kept + 1] - sums[kept + 1 - decimate]) / decimate
 
 
 def input_shows(fit: Sequence[ArxData]) -> float:

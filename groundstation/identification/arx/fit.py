@@ -305,7 +305,7 @@ def _free_run_rms(
         window = max(1, round(window_s / one.period_s))
         free_run_errors(orders, a, b, one.inputs, one.outputs, window, first, sums)
         rows += len(one.inputs) - first
-    return np.asarray(np.sqrt(sums / max(rows, 1)))
+    return np.sqrt(sums / max(rows, 1))
 
 
 def _simplest(candidates: Sequence[ArxCandidate]) -> ArxCandidate:

@@ -78,7 +78,7 @@ def _means(values: Array, every: int) -> Array:
     sums = np.vstack([np.zeros((1, 3)), np.cumsum(values, axis=0)])
     last = np.arange(1, len(values) + 1)
     first = np.maximum(last - every, 0)
-    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
+    return (sums[last] - sums[first]) / (last - first)[:, None]
 
 
 def _at(flown: Array, later: float, longest: int) -> Array:
@@ -87,7 +87,7 @@ def _at(flown: Array, later: float, longest: int) -> Array:
     before = np.floor(rows).astype(np.int64)
     after = np.minimum(before + 1, flown.shape[1] - 1)
     share = (rows - before)[:, None]
-    return np.asarray((1.0 - share) * flown[:, before] + share * flown[:, after])
+    return (1.0 - share) * flown[:, before] + share * flown[:, after]
 
 
 def _slopes(

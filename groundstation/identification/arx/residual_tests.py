@@ -103,7 +103,7 @@ def _draws(size: int) -> Array:
 
 def _centred(values: ArrayLike) -> Array:
     array = np.asarray(values, np.float64)
-    return np.asarray(array - array.mean())
+    return array - array.mean()
 
 
 def _quantile() -> float:

@@ -60,14 +60,12 @@ def _solved(normal: Array, score: Array) -> Array:
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0
     ridge = RIDGE * np.eye(len(score))
-    return np.asarray(
-        np.linalg.solve(normal / np.outer(scale, scale) + ridge, score / scale) / scale
-    )
+    return np.linalg.solve(normal / np.outer(scale, scale) + ridge, score / scale) / scale
 
 
 def _sums(errors: Array, rows: int) -> Array:
     total = np.concatenate([[0.0], np.cumsum(errors)])
-    return np.asarray(total[rows:] - total[:-rows])
+    return total[rows:] - total[:-rows]
 
 
 def _memories(errors: Array, rows: int, period_s: float) -> Array:

@@ -91,4 +91,4 @@ def prediction_residuals(stretch: Stretch, fit: BodyFit) -> Array:
 def _means(values: Array, rows: int) -> Array:
     """Means over blocks of so many rows."""
     whole = len(values) // rows * rows
-    return np.asarray(values[:whole].reshape(-1, rows).mean(axis=1))
+    return values[:whole].reshape(-1, rows).mean(axis=1)

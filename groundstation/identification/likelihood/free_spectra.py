@@ -243,4 +243,4 @@ def minimum_phase_whitener(fit: FreeFit, channel: int) -> Array:
     size = len(cepstrum)
     cepstrum[1 : size // 2] *= 2.0
     cepstrum[size // 2 + 1 :] = 0.0
-    return np.asarray(irfft(np.exp(rfft(cepstrum)))[:WHITENER_ROWS])
+    return irfft(np.exp(rfft(cepstrum)))[:WHITENER_ROWS]

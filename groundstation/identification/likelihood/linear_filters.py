@@ -146,7 +146,7 @@ def behind_firmware(
     given += 0.5 * np.tile(later, len(values))[:, None] * np.repeat(within, steps, axis=0)
     start = _settled(b, a)[:, None] * values[:1]
     out, _ = lfilter(b, a, given, axis=0, zi=start)
-    return np.asarray(out.reshape(len(values), steps, -1).mean(axis=1))
+    return out.reshape(len(values), steps, -1).mean(axis=1)
 
 
 @lru_cache(maxsize=32)
@@ -180,4 +180,4 @@ def _settled(b: Array, a: Array) -> Array:
     """The filter's states (2,) after inputs of 1."""
     from scipy.signal import lfilter_zi
 
-    return np.asarray(lfilter_zi(b, a))
+    return lfilter_zi(b, a)

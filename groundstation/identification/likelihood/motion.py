@@ -83,7 +83,12 @@ class Motion:
             np.minimum(height, FAR_M),
             tuple(orientation),
             _rows(self.velocity),
-            *(STILL, _FOUR, _FOUR, 0.0, STILL, STILL),
+            STILL,
+            _FOUR,
+            _FOUR,
+            0.0,
+            STILL,
+            STILL,
         )
         self._still: BodyRows = Body(*rows)
 

@@ -129,4 +129,4 @@ def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep:
     scale = np.sqrt(np.diag(normal)) + 1e-12
     scaled = normal / np.outer(scale, scale), used.T @ told / scale
     weights = np.linalg.lstsq(*scaled, rcond=1e-10)[0] / scale
-    return np.asarray((plain - np.repeat(lagged[read], each, axis=0)) @ weights)
+    return (plain - np.repeat(lagged[read], each, axis=0)) @ weights

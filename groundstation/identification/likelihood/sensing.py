@@ -123,7 +123,7 @@ class Sensors:
     @property
     def gyro_lag(self) -> Array:
         """(3, 3) s in body axes: how far the true rate is ahead of the gyro on a ramp."""
-        return np.asarray((self.undo @ self.lag)[RATES, RATES])
+        return (self.undo @ self.lag)[RATES, RATES]
 
     def true(self, gyro: Array, force: Array) -> tuple[Array, Array]:
         """Rate and specific force (n, 3) in body axes behind what was measured, but for lags."""
@@ -244,7 +244,7 @@ class Sensors:
 def _turned(values: Array, matrix: NDArray[Any]) -> Array:
     if np.abs(matrix - np.eye(3)).max() < SAME:
         return values
-    return np.asarray(values @ matrix.T)
+    return values @ matrix.T
 
 
 @lru_cache(maxsize=256)

@@ -52,7 +52,7 @@ class Noise:
     power: Array
 
     def at(self, hz: Array) -> Array:
-        return np.asarray(np.exp(np.interp(hz, self.hz, np.log(self.power))))
+        return np.exp(np.interp(hz, self.hz, np.log(self.power)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +223,7 @@ def settled(rows: Array, lasting: Array | None, scale: Array) -> Array:
     strength, turn = np.linalg.eigh(lasting @ (scale * lasting).T)
     apart = turn.T @ lasting
     share = (1.0 - (1.0 + np.maximum(strength, 0.0)) ** -0.5) / np.maximum(strength, 1e-300)
-    return np.asarray(rows - (share * (rows @ (scale * apart).T)) @ apart)
+    return rows - (share * (rows @ (scale * apart).T)) @ apart
 
 
 def beside_lasting(s: Spectrum, rows: Array, noise: Noise) -> Array:
@@ -243,7 +243,7 @@ def white_rows(s: Spectrum, noise: Noise, values: Array) -> Array:
     from scipy.fft import irfft
 
     white, bins = values * (1.0 / np.sqrt(noise.at(s.hz))), len(s.hz) // 2
-    return np.asarray(irfft(white[..., :bins] + 1j * white[..., bins:], 2 * (bins - 1)))
+    return irfft(white[..., :bins] + 1j * white[..., bins:], 2 * (bins - 1))
 
 
 def leverage(spectrum: Spectrum, noise: Noise, covariance: Array) -> Array:
@@ -251,4 +251,4 @@ def leverage(spectrum: Spectrum, noise: Noise, covariance: Array) -> Array:
     part = covariance[np.ix_(spectrum.place, spectrum.place)]
     scale = spectrum.weight / noise.at(spectrum.hz)
     turned = part @ spectrum.columns
-    return np.asarray(scale * np.einsum("kn,kn->n", spectrum.columns, turned))
+    return scale * np.einsum("kn,kn->n", spectrum.columns, turned)

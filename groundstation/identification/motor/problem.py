@@ -221,7 +221,7 @@ def first_speed(run: MotorRun) -> float:
 def at_age(run: MotorRun, rows: NDArray[np.intp], series: Array, delay_s: float) -> Array:
     """A modelled series at the time each reading was taken."""
     row, share = _places(run, rows, delay_s)
-    return np.asarray(series[row] + share * (series[row + 1] - series[row]))
+    return series[row] + share * (series[row + 1] - series[row])
 
 
 def _places(

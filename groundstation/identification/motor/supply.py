@@ -178,7 +178,7 @@ class _Regression:
     def error(self, lag_s: float) -> Array:
         """Report less model, the first moments left out."""
         lagged, weights, start = self._solved(lag_s)
-        return np.asarray(self.run.supply_v[start:] - lagged[start:] @ weights)
+        return self.run.supply_v[start:] - lagged[start:] @ weights
 
     def terminal(self, lag_s: float) -> tuple[Array, float]:
         """The terminal voltage without lag, and A."""
