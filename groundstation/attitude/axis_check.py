@@ -14,9 +14,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.attitude.sensors import rest_bias
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
 

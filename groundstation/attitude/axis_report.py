@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.attitude.axis_check import AxisCheck
 from groundstation.attitude.sensors import accelerometer_attitude, integrate_gyroscope
 from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.page import Page
 from groundstation.report.theme import MEASURED, SERIES
+from groundstation.telemetry.arrays import AXES
 from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:

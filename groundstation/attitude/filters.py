@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import Array
 from groundstation.attitude.sensors import accelerometer_attitude
+from groundstation.telemetry.arrays import Array
 
 START_ROWS = 25
 """The first attitude is the accelerometer's mean over so many rows (50 ms)."""

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.attitude.filters import KalmanNoise, complementary, kalman
 from groundstation.attitude.sensors import (
     accelerometer_attitude,
@@ -14,6 +13,7 @@ from groundstation.attitude.sensors import (
     rest_bias,
 )
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.samples import SampleBatch
 
 LEAST_ROWS = 100

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.attitude.fusion import Fused
 from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.page import Page
 from groundstation.report.theme import MEASURED, SERIES
+from groundstation.telemetry.arrays import AXES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 REST_RATE = np.radians(3.0)
 """A craft whose rate varies by less than this (rad/s, standard deviation) lies still."""

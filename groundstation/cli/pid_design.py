@@ -57,7 +57,7 @@ def design(
     --html design.html[/bold]
     """
     from groundstation import gains_text
-    from groundstation.arrays import AXES
+    from groundstation.telemetry.arrays import AXES
 
     for path in (output, html):
         if path is not None:
@@ -97,7 +97,7 @@ def design(
 def _require_sense(
     axes: tuple[str, ...], sensitivity: float, spare_ms: float, draws: int, loop: str
 ) -> None:
-    from groundstation.arrays import AXES
+    from groundstation.telemetry.arrays import AXES
 
     for one in axes:
         if one not in AXES:

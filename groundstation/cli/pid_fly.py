@@ -112,8 +112,8 @@ def fly(
 
 def _planned(shape: Any, axes: list[str] | None, *more: Any) -> Programme:
     """Raises BadInputError for one that should not be flown."""
-    from groundstation.arrays import AXES
     from groundstation.control.programme import Programme, require_flyable
+    from groundstation.telemetry.arrays import AXES
 
     planned = Programme(shape, tuple(axes or AXES), *more)
     require_flyable(planned)

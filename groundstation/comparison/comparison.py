@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
-from groundstation.arrays import Array
 from groundstation.comparison.consistency import require_consistent
 from groundstation.comparison.gap import (
     FURTHER_EVERY_S,
@@ -32,6 +31,7 @@ from groundstation.dynamics.model import Model, model_vehicle, require_body
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.report.result import Result
+from groundstation.telemetry.arrays import Array
 
 
 @dataclass(frozen=True, repr=False)

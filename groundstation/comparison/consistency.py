@@ -14,7 +14,6 @@ from itertools import combinations, product
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.comparison.regimes import Motion, motion_of
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle
@@ -22,6 +21,7 @@ from groundstation.dynamics.rotations import euler_rates
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.masks import spans
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 

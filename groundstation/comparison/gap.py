@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.regimes import Motion, motion_of
 from groundstation.dynamics.arx import Turning
@@ -31,6 +30,7 @@ from groundstation.prediction.prediction import (
     own_noise,
     predict_observed,
 )
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 HORIZONS_S = (0.02, 0.05)

@@ -12,12 +12,12 @@ from typing import Literal
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.comparison.regimes import Motion
 from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.runs import Run
 from groundstation.identification.velocity import LEAK_S, velocity_of
+from groundstation.telemetry.arrays import AXES, Array
 
 LAGS = (1, 2, 3, 4, 6, 8, 12, 18, 26)
 """Rows by which inputs may act later than the base model has it."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.gap import PER_SI, UNITS, AheadErrors
 from groundstation.comparison.noise_floor import Floor
 from groundstation.comparison.regimes import WHOLE, regimes_of
+from groundstation.telemetry.arrays import Array
 
 BLOCK_S = 0.25
 """Errors of one horizon forget each other within a fraction of this."""

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.comparison.autoregression import estimate_noise
 from groundstation.comparison.gap import (
     ACCELEROMETER,
@@ -33,6 +32,7 @@ from groundstation.comparison.noise_floor_fit import ChannelPredictor, fit_signa
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.rotations import euler_rates
 from groundstation.prediction.attitude_rhythm import fresh_rows
+from groundstation.telemetry.arrays import Array
 
 SOURCE = (
     "black-box predictor on the same rows: generic signals that clearly show in the one-step"

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.comparison.autoregression import NoiseModel, estimate_noise
+from groundstation.telemetry.arrays import Array
 
 Pieces = Sequence[tuple[Array, Array]]
 """Stretches of signals (n, p) and of the errors (n, 3) of the channels they are for."""

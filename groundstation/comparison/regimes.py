@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.law import SPIN
 from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
 from groundstation.dynamics.motor import REVOLUTION
@@ -15,6 +14,7 @@ from groundstation.identification.airborne import flights_in
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import SATURATED, RotorSquares, rotor_squares
 from groundstation.identification.velocity import velocity_of
+from groundstation.telemetry.arrays import Array
 
 Mask = NDArray[np.bool_]
 

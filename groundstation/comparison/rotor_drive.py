@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.regimes import Motion
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.hover import duties_for
@@ -21,6 +20,7 @@ from groundstation.dynamics.registry import EFFECTS, ROTORS_TURN_BY
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import measured_squares
+from groundstation.telemetry.arrays import Array
 
 BAND_S = (0.05, 1.0)
 """Means over these are subtracted: what turns a craft, not vibration nor the battery's part."""

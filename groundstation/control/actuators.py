@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.control.evaluate import STEADY_S, WHOLE_STEP_RAD, calms
 from groundstation.control.gain_conversion import scaled
 from groundstation.control.linear_loop import axis_plant, run_direct
@@ -18,6 +17,7 @@ from groundstation.control.thesis_loop import (
     run_whole,
 )
 from groundstation.dynamics.model import Model
+from groundstation.telemetry.arrays import AXES
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 JUDGED_S = 1.5

@@ -16,13 +16,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.control.linear_loop import DirectJudge, direct_margins
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
 from groundstation.control.search import Archive, Budget, pareto_front, search
 from groundstation.dynamics.model import ArxAxis
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import Array
 
 RMS, OVERSHOOT, SETTLING, OFFSET, SENSITIVITY, EFFORT, COMPLIANCE = range(7)
 """Columns of a judgement."""

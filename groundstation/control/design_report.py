@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.control.design import (
     COMPLIANCE,
     OFFSET,
@@ -47,6 +46,7 @@ from groundstation.control.uncertainty import estimates_of
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.suitability import WORDS, Use, suitability
 from groundstation.report.page import Page
+from groundstation.telemetry.arrays import Array
 
 Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.control.firmware_loop import (
     STEP_RAD,
     cascade_loop,
@@ -29,6 +28,7 @@ from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.thesis_loop import run_whole, whole_loop
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 Loop = Literal["direct", "whole", "firmware"]

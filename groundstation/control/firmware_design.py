@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.control.design import (
     EFFORT,
     OFFSET,
@@ -37,6 +36,7 @@ from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.search import Budget
 from groundstation.control.uncertainty import corners, draws, estimates_of, require_certain
 from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.telemetry.arrays import Array
 
 WINDOW_S = 1.5
 LOW: dict[Release, dict[str, tuple[float, ...]]] = {

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import AXES, Array
 from groundstation.control.firmwares import RELEASE_2014, Firmware
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.plant import Plant
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 Complex = NDArray[Any]

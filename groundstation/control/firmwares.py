@@ -13,10 +13,10 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import FULL_16_BIT
 
 Release = Literal["2014", "2.x"]

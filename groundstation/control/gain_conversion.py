@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from groundstation.arrays import AXES
 from groundstation.control.firmware_loop import integral_ratios, require_gains
 from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.pid import PidGains
@@ -24,6 +23,7 @@ from groundstation.control.thesis_loop import SUPPLY_MV, counts_per_control
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES
 
 FORMS = ("direct", "whole", "firmware")
 PER_DEG = FULL / PWM_FULL * math.pi / 180.0

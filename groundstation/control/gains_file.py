@@ -16,12 +16,12 @@ from typing import Any
 
 import msgspec
 
-from groundstation.arrays import AXES
 from groundstation.control.firmware_loop import require_gains
 from groundstation.control.firmwares import RELEASES, Release
 from groundstation.control.pid import PidGains, require_finite
 from groundstation.documents import decode_toml, explained, read_document, seems
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES
 
 FIRMWARE = "firmware"
 LOOP = "loop"

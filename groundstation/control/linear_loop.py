@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import AXES, Array
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import PidGains
@@ -21,6 +20,7 @@ from groundstation.dynamics.arx import angle_polynomial
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.sensors import delay_of_model
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 GRID = 1500

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import Array
 from groundstation.control.firmwares import RELEASE_2014, Firmware, firmware_of_model
 from groundstation.dynamics.craft import Crafts, craft_of_model, craft_of_motors
 from groundstation.dynamics.hover import hover_duty, hover_rev_s
@@ -21,6 +20,7 @@ from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
 from groundstation.dynamics.sensors import SENSORS, sensors_of_model
 from groundstation.dynamics.simulation import accelerations, with_states
 from groundstation.dynamics.state import RATE, ROTOR, craft_state
+from groundstation.telemetry.arrays import Array
 
 HOVER_REV_S = 230.0
 """Where a model without a body is flown: it does not say what carries the craft."""

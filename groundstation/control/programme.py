@@ -15,10 +15,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import AXES, Array
 from groundstation.control.flight_watch import SPEED_M_S, largest
 from groundstation.control.holding import AHEAD_S, NEAR_M
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 
 Shape = Literal["doublet", "step", "level"]
 SHAPES: tuple[Shape, ...] = ("doublet", "step", "level")

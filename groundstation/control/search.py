@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 MUTATION, CROSSOVER = 0.6, 0.9
 STALL, STALLED = 25, 1e-4

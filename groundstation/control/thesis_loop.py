@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import AXES, Array
 from groundstation.control.firmware_loop import hold_response, rate_per_pwm
 from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.linear_loop import axis_plant, controller, frequency_response, grid
@@ -27,6 +26,7 @@ from groundstation.dynamics.arx import angle_polynomial, stacked
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 SUPPLY_MV = 3700.0

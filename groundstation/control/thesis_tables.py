@@ -10,11 +10,11 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from groundstation.arrays import AXES
 from groundstation.control.linear_loop import axis_plant, is_stable, most_delay, step_direct
 from groundstation.control.metrics import StepMetrics
 from groundstation.control.pid import PidGains
 from groundstation.dynamics.model import THESIS, ArxAxis, Model
+from groundstation.telemetry.arrays import AXES
 
 GAINS: dict[str, dict[str, PidGains]] = {
     "P": {

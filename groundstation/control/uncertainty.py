@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import BodyConstants, Estimate, Model, with_motor
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.suitability import (
@@ -21,6 +20,7 @@ from groundstation.dynamics.suitability import (
 )
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 
 BODY = ("c0", "c1", "c2", "thrust_per_mass")
 MOTOR = ("a0", "a1", "a2")

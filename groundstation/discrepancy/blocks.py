@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import Variant
 from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.likelihood.spectra import white_rows
+from groundstation.telemetry.arrays import Array
 
 BLOCK_S, MOST_BLOCKS = 2.0, 200
 """Longer than any residual is correlated; of long recordings blocks are longer."""

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from groundstation.arrays import Array
 from groundstation.discrepancy.blocks import Blocks
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.parameters import KEYS, VARIANTS, Point
+from groundstation.telemetry.arrays import Array
 
 DELAY = next(one.sizes[0] for one in VARIANTS if one.definition.stage == "delay")
 

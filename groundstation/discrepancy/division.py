@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.comparison import Judged
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import SETTLE_S, turning
@@ -16,6 +15,7 @@ from groundstation.identification.flight import LEAST_AIR_S
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import LEAST_S
+from groundstation.telemetry.arrays import Array
 
 PIECE_S = LEAST_AIR_S + SETTLE_S
 LONG_S = 3.0 * PIECE_S

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 SHARES = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97])
 """Of the variance that the process may have: steps that cost less than a tenth of -2 log L."""

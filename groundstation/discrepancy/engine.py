@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.consistency import require_consistent
 from groundstation.comparison.gap import FURTHER_EVERY_S
@@ -58,6 +57,7 @@ from groundstation.identification.likelihood.prior import Prior, body_prior
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.identification.runs import Run
 from groundstation.report.result import Result
+from groundstation.telemetry.arrays import AXES
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""

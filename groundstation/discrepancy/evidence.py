@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.discrepancy.screening import cost_without, sizes_at
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import unseen_delay_s
@@ -24,6 +23,7 @@ from groundstation.identification.likelihood.spectra import (
     quadratic,
     white_rows,
 )
+from groundstation.telemetry.arrays import Array
 
 BLOCK_S = 1.0
 """Longer than any residual is correlated once it is whitened."""

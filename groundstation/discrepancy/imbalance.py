@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.discrepancy.acceptance import LEAST_DROP, Shaken, shaken_refusal
 from groundstation.discrepancy.findings import Candidate, Findings, Refusal, with_last
 from groundstation.discrepancy.vibration import (
@@ -33,6 +32,7 @@ from groundstation.identification.likelihood.on_board import ON_BOARD
 from groundstation.identification.likelihood.parameters import Point
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.rotors import spin_rotors
+from groundstation.telemetry.arrays import Array
 
 
 def with_imbalance(findings: Findings, problem: Problem, point: Point) -> Findings:

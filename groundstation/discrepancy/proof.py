@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
@@ -21,6 +20,7 @@ from groundstation.discrepancy.findings import (
     Verdict,
 )
 from groundstation.dynamics.model import Disturbance, Model
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import filled
 
 GIVEN, BASE = "given model", "base constants"

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.discrepancy.blocks import Blocks
 from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.subsets import Subsets
 from groundstation.identification.likelihood.parameters import Point, Variant, absent
+from groundstation.telemetry.arrays import Array
 
 RESAMPLES = 100
 RIVAL = 12.0

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
@@ -28,6 +27,7 @@ from groundstation.report.theme import (
     ON_DARK,
     PAPER,
 )
+from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

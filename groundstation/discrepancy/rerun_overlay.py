@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.comparison.localisation import over_time
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.report_json import DiscrepancyReport
+from groundstation.telemetry.arrays import Array
 
 PAUSE_S = 2.0
 """Between flights that follow each other on one time axis."""

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.unknowns import Key
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.parameters import (
@@ -24,6 +23,7 @@ from groundstation.identification.likelihood.parameters import (
 )
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem, bounded
 from groundstation.identification.likelihood.spectra import Quadratic
+from groundstation.telemetry.arrays import Array
 
 PENALTY = 8.0
 """For each parameter, in -2 log L: the logarithm of some 3000 independent values (Schwarz 1978)."""

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
 from groundstation.discrepancy.acceptance import LEAST_SURE, is_significant
@@ -25,6 +24,7 @@ from groundstation.discrepancy.drift import drift_of, spread_of
 from groundstation.dynamics.model import Disturbance, Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import DISTURBANCE
 from groundstation.identification.likelihood.prior import trim_of
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 BLOCK_S = 0.5

@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.discrepancy.acceptance import DROP_PER_PARAMETER, LEAST_DROP, plausible
 from groundstation.discrepancy.screening import UNDETERMINED
 from groundstation.identification.likelihood.parameters import Point, Variant, absent
+from groundstation.telemetry.arrays import Array
 
 RIDGE = 1e-9
 """Share of a column's power that is added to it: two that are alike have an inverse."""

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.effect import Role
 from groundstation.dynamics.law import FAR_M, SPIN, Body, Craft
 from groundstation.dynamics.on_board_filter import power_passed
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.estimate import bounded_step
 from groundstation.identification.flight import Flight
+from groundstation.telemetry.arrays import Array
 
 IMBALANCE = next(effect for effect in EFFECTS.values() if effect.role is Role.UNPHASED)
 SIZES = tuple(one.name for one in IMBALANCE.sizes)

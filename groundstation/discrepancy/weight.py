@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.discrepancy.proof import LEAST_SHARE, LEFT
+from groundstation.telemetry.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.findings import Leftover
 from groundstation.identification.estimate import inverse
@@ -28,6 +27,7 @@ from groundstation.identification.likelihood.spectra import (
     transform_channel,
 )
 from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S
+from groundstation.telemetry.arrays import Array
 
 SCAN_DROP = 45.0
 """Drop of -2 log L from which a generic signal counts: 6.7 standard deviations."""

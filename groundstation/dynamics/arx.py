@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.origin import FITTED, origin_of
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import AXES, Array
 
 SLOPE_ROWS = 2
 """An angle's slope is taken over so many rows: the firmware refreshes it every second one."""

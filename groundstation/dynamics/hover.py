@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts
 from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.simulation import specific_force
 from groundstation.dynamics.state import craft_state
+from groundstation.telemetry.arrays import Array
 
 HOVER_ROUNDS = 3
 """Thrust goes with the square of the speed but for what effects add to it: each round leaves less

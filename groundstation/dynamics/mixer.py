@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 Configuration = Literal["plus", "x"]
 

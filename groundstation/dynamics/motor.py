@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import Array
 from groundstation.dynamics.vehicle import MotorConstants, Motors
+from groundstation.telemetry.arrays import Array
 
 REVOLUTION = 2 * math.pi
 

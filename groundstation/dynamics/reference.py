@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 SIZE_RAD, SETTLE_S, HOLD_S = np.radians(10.0), 1.0, 0.5

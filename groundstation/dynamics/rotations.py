@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 
 def rotation_matrix(attitude: ArrayLike) -> Array:

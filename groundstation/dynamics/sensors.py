@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED
 from groundstation.dynamics.craft import acting, craft_of_model
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.rotations import attitude_of_matrix, quaternion_of_attitude
+from groundstation.telemetry.arrays import Array
 
 FILTER = 10
 """Numbers of an attitude filter's state."""

@@ -12,9 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts
 from groundstation.dynamics.state import STATES
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 

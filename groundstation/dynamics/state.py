@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.arrays import Array
 from groundstation.dynamics.rotations import attitude_of_quaternion, quaternion_of_attitude
+from groundstation.telemetry.arrays import Array
 
 POSITION, VELOCITY, QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
 RATE, ROTOR = slice(10, 13), slice(13, 17)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from groundstation.arrays import AXES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.vehicle import Vehicle
+from groundstation.telemetry.arrays import AXES
 from groundstation.text import listed
 
 CONSTANT = dict(zip(AXES, ("c0", "c1", "c2"), strict=True))

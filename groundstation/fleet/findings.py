@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, ROTORS, WORDS
 from groundstation.fleet.parts import Row
 from groundstation.fleet.population import (
@@ -21,6 +20,7 @@ from groundstation.fleet.population import (
     population,
     scatter_variance,
 )
+from groundstation.telemetry.arrays import Array
 
 FALSE_SHARE = 0.05
 """At most this share of what is named is chance; a fleet without faults is wronged in as many."""

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.fleet.facts import fetched
 from groundstation.fleet.gather import MADE_BY, with_reason
 from groundstation.fleet.parts import Row
 from groundstation.paths import digest
+from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:
     from groundstation.identification.stretches import Stretch

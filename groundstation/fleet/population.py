@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 LEAST_PART = 3
 """Flights before and after a change: the middle of three is not one wild flight."""

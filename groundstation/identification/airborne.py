@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.identification.runs import Run
 from groundstation.prediction.drive import TURNING
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of, struck
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import spans
 
 Mask = NDArray[np.bool_]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.identification.read_between import angles_read_between, half_a_row_later
 from groundstation.identification.runs import Run
 from groundstation.prediction.attitude_rhythm import changed_rows, rhythm_of
+from groundstation.telemetry.arrays import Array
 
 FIRMWARE_GAIN = 0.4
 """1/s: half of the firmware's twoKp, which acts on a vector product with half of gravity."""

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import LEAST_S, Stretch
+from groundstation.telemetry.arrays import Array
 
 Span = tuple[int, int]
 

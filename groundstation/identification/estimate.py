@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 TRUSTED = (0.3, 10.0)
 """Share of Gauss-Newton's curvature that the slopes at the ends of a step may make of it: what

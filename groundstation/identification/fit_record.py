@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import msgspec
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.model import EffectTerm, Estimate, Model
 from groundstation.dynamics.origin import with_origin
 from groundstation.identification.arx.residual_tests import (
@@ -19,6 +18,7 @@ from groundstation.identification.arx.residual_tests import (
 )
 from groundstation.identification.estimate import Estimates
 from groundstation.report.result import Result
+from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

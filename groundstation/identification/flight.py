@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.rotations import (
     attitude_of_matrix,
     quaternion_of_attitude,
@@ -21,6 +20,7 @@ from groundstation.identification.read_between import force_read_between
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run, require_known
 from groundstation.identification.torque import RotorSquares, measured_squares
+from groundstation.telemetry.arrays import Array
 
 Flags = NDArray[np.bool_]
 

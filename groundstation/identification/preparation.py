@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.fit_record import liveliest
@@ -16,6 +15,7 @@ from groundstation.identification.motor.rotor_speed import GateReading, speed_fr
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
 from groundstation.report.channels import against, lines, points
+from groundstation.telemetry.arrays import AXES, Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 BANDS = (0.94, 1.0), (0.6, 0.8)
 """Over half the row rate: where a mean of two readings leaves nothing, where it leaves a fifth."""

@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.sensors import shown_rotors
@@ -18,6 +17,7 @@ from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.runs import Run, require_known
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
 from groundstation.report.result import Result
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 CHANNELS = (

@@ -12,9 +12,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.errors import BadInputError
 from groundstation.identification.supply_answer import at_the_rows_voltage
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import spans
 from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch

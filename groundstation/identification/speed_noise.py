@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.identification.flight import Flight
+from groundstation.telemetry.arrays import Array
 
 NOISE_FROM = 0.6
 """Share of half the rate of fresh readings from which a motor does nothing that is seen: what is

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 
 class SupplyAnswer:

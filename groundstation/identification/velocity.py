@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.identification.airborne import flights_in
 from groundstation.identification.flight import Flight, quaternion_rows
 from groundstation.identification.runs import Run
 from groundstation.prediction.start_velocity import start_velocity
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 LEAK_S, LEANING_LEAK_S = 16.0, 4.0

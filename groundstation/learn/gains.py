@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.control.design import RMS
 from groundstation.control.firmware_design import cascade_limits, closest_cascade
 from groundstation.control.programme import Programme
@@ -19,6 +18,7 @@ from groundstation.errors import BadInputError
 from groundstation.learn.journal import Landed
 from groundstation.learn.manoeuvres import Limits
 from groundstation.recording.open_for_analysis import open_for_analysis
+from groundstation.telemetry.arrays import AXES
 
 CLIENT = "learn"
 OVERSHOOT_MORE = 5.0

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.model import Model
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import prepare
@@ -16,6 +15,7 @@ from groundstation.identification.likelihood.parameters import BODY_KEYS, KEYS, 
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.spectra import quadratic
 from groundstation.identification.runs import Run
+from groundstation.telemetry.arrays import Array
 
 BODY_DOUBT = 0.3
 """Of c0, c1, c2 and the thrust before any flight, as a share."""

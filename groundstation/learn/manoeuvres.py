@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.control.flight_watch import SPEED_M_S
 from groundstation.control.holding import AHEAD_S, NEAR_M, REST_S
 from groundstation.control.programme import HELD_S, RATE_HZ, carried_m, heading_rad
 from groundstation.errors import BadInputError
+from groundstation.telemetry.arrays import Array
 
 TAKE_OFF_S, LANDING_S = 4.0, 3.0
 """Until its hover is known, and down from 0.5 m."""

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.flight_watch import AWAY, FAST
 from groundstation.control.gains_file import gains_text, load_gains
@@ -46,6 +45,7 @@ from groundstation.learn.planning import Pilot, Planned, plan_flight
 from groundstation.paths import write_whole
 from groundstation.recording.open_for_analysis import open_for_analysis
 from groundstation.shell import Shell
+from groundstation.telemetry.arrays import AXES
 from groundstation.text import listed
 
 BATTERY_S = 300.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 Mask = NDArray[np.bool_]
 

@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.rotations import body_rates
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import filled
 
 Mask = NDArray[np.bool_]

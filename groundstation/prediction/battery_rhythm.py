@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.prediction.attitude_rhythm import EVERY_ROW, LONGEST, Rhythm
+from groundstation.telemetry.arrays import Array
 
 ON_COMB, LEAST_CHANGES = 0.98, 30
 """A rhythm is one on whose rows so many of the changes lie. They are few, for a report has steps of

@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts, craft_of_model
 from groundstation.dynamics.hover import settled_rev_s
 from groundstation.dynamics.law import FAR_M
@@ -21,6 +20,7 @@ from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
 from groundstation.prediction.battery_rhythm import between_readings
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import spans
 
 Mask = NDArray[np.bool_]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 

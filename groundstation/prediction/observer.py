@@ -14,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.craft import Crafts, craft_of_model
 from groundstation.dynamics.hover import hover_rev_s
 from groundstation.dynamics.law import FAR_M
@@ -25,6 +24,7 @@ from groundstation.dynamics.simulation import with_states
 from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, STATES
 from groundstation.errors import BadInputError
 from groundstation.prediction.riccati import Row, settled
+from groundstation.telemetry.arrays import Array
 
 Places = NDArray[np.intp]
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.craft import SENSOR_STATES, acting
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.rotations import quaternion_of_attitude
@@ -35,6 +34,7 @@ from groundstation.prediction.drive import (
 from groundstation.prediction.gyro_vibration import vibration_of
 from groundstation.prediction.observer import Gains, Noise, gains_of
 from groundstation.prediction.start_velocity import start_velocity
+from groundstation.telemetry.arrays import Array
 
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.hover import duties_for, hover_rev_s
 from groundstation.dynamics.model import Model
@@ -23,6 +22,7 @@ from groundstation.dynamics.simulation import simulate, with_states
 from groundstation.dynamics.state import QUATERNION, RATE, ROTOR, attitude_of, craft_state
 from groundstation.errors import BadInputError
 from groundstation.prediction.drive import Drive, drive_run
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S, STANDARD_GRAVITY
 
 ANGLE_RAD_S, ANGLE_DAMPING, ANGLE_INTEGRAL = 7.0, 0.9, 40.0

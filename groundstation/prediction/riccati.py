@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 DOUBLINGS = 13
 """16 s of rows at 500 Hz: three times that in which a velocity that nothing measures settles."""

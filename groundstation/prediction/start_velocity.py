@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.rotations import rotation_matrix
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 

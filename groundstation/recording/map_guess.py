@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.recording.column_names import ORDER, PARTS, Group, groups_of, unit_in_name
 from groundstation.recording.map_document import UNITS
 from groundstation.recording.time_cells import FRACTION
@@ -20,6 +19,7 @@ from groundstation.recording.unit_guess import (
     ratio,
     unit_of,
 )
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 KEYS = tuple(f"{name}.{part}".rstrip(".") for name, parts in PARTS.items() for part in parts)

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.plausibility import KINDS
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import spans
 from groundstation.telemetry.samples import SampleBatch
 

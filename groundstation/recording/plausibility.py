@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.rotations import body_rates
 from groundstation.recording.channels import CHANNELS
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.recording.motor_columns import changes
 from groundstation.recording.px4_outputs import crowd_of, motors_among, range_of
 from groundstation.recording.series import Series
+from groundstation.telemetry.arrays import Array
 
 Parameters = Mapping[str, float]
 

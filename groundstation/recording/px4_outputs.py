@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.recording.motor_columns import MOVES, changes, too_many
+from groundstation.telemetry.arrays import Array
 
 Parameters = Mapping[str, float]
 

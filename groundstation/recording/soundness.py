@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.errors import BadInputError
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.column_map import UNCLEAR_METADATA
 from groundstation.recording.no_value import sentinels, standing
 from groundstation.recording.plausibility import BARELY, KINDS, Kind
 from groundstation.recording.session import Recording
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import spans
 from groundstation.telemetry.renewal import renewals
 from groundstation.telemetry.samples import OVERDRIVEN, SampleBatch

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.samples import SampleBatch
 
 LOOKED_AT = 4000

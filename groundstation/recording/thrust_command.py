@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.samples import SampleBatch
 
 FULL_THRUST_G, V_PER_G, V_PER_G2 = 60.0, 0.088, -0.0006239

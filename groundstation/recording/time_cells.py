@@ -11,7 +11,7 @@ from itertools import islice
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 DAY_S, HOUR_S = 86_400.0, 3600.0
 CELLS = 20

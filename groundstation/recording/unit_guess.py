@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 RATES_HZ, USUAL_HZ = (1.0, 10_000.0), 100.0

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.control.evaluate import evaluate
 from groundstation.control.gains_file import load_gains
 from groundstation.control.linear_loop import run_direct
@@ -22,6 +21,7 @@ from groundstation.control.thesis_tables import (
 )
 from groundstation.dynamics.model import THESIS
 from groundstation.report.page import Cell
+from groundstation.telemetry.arrays import AXES
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.thesis.drawing import responses
 from groundstation.thesis.entry import Entry, Made, Table

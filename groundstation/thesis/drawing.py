@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.report.figure import figure, thinned
 from groundstation.report.theme import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES
+from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

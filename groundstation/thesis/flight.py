@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import model_vehicle, rotor_motors
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.fit_record import liveliest
@@ -14,6 +13,7 @@ from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch, stretches_of
 from groundstation.identification.torque import rotor_squares
 from groundstation.report.channels import against, lines
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.thesis.entry import Entry, Made
 from groundstation.thesis.workshop import Workshop
 

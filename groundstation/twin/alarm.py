@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 from groundstation.twin.rolling import Block
 from groundstation.twin.signals import KINDS, SHARED, Place
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.comparison.gap import HORIZONS_S
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.sensors import sensors_of_model
@@ -23,6 +22,7 @@ from groundstation.prediction.attitude_rhythm import fresh_rows
 from groundstation.prediction.drive import LANDED, TURNING, Drive, drive_run
 from groundstation.prediction.observer import Gains, Noise, gains_of, integrating_force
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, noise_of, observe_part
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.twin.rows import RHYTHM_ROWS, Piece, Rows, period_of, unbroken

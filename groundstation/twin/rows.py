@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import LONGEST_GAP_S
 from groundstation.identification.runs import FASTEST_HZ, both_settings
 from groundstation.identification.supply_answer import SupplyAnswer, at_the_rows_voltage
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch

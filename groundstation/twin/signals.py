@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.comparison.channels import CHANNELS
 from groundstation.dynamics.law import SPIN
 from groundstation.dynamics.mixer import MIXERS, Configuration
@@ -24,6 +23,7 @@ from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.rotations import matrix_of_quaternion
 from groundstation.dynamics.state import QUATERNION, RATE, VELOCITY
 from groundstation.prediction.prediction import Observed
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 BRAKING_S = 0.05

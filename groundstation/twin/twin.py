@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.model import Model, require_body
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 from groundstation.twin.alarm import Episode, Judge

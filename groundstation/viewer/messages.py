@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.links.event import LinkEvent
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
 from groundstation.telemetry.statistics import LinkStatistics

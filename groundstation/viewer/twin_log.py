@@ -8,9 +8,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.rerun_log.channels import DEVICE_TIME, PITCH, ROLL, YAW
 from groundstation.rerun_log.device_clock import LiveClock
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 TWIN = "/twin"

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import inverse
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import rotor_squares
+from groundstation.telemetry.arrays import AXES, Array
 
 LEAST_ROWS = 300
 SETTLE_S = 0.6

@@ -15,13 +15,13 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.model import ArxAxis
 from groundstation.errors import BadInputError
 from groundstation.identification.arx.data import ArxData, require_usable
 from groundstation.identification.arx.residual_tests import cross_correlation_test
 from groundstation.identification.estimate import Estimates, sandwich
+from groundstation.telemetry.arrays import Array
 
 MOST_POLES = 4
 POLES, INPUTS, DELAYS = range(1, MOST_POLES + 1), range(1, 3), range(11)

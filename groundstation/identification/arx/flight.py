@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.arx import SLOPE_ROWS, arx_ahead, of_rates
 from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
 from groundstation.dynamics.rotations import body_rates, euler_rates
@@ -19,6 +18,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import rotor_squares
 from groundstation.prediction.prediction import Ahead
+from groundstation.telemetry.arrays import AXES, Array
 
 PART = 20_000
 """Starts flown at once, which bounds the memory."""

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 LAGS = 25
 DRAWS = 2000

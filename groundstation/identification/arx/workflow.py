@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from groundstation.arrays import AXES
 from groundstation.dynamics.model import ArxAxis, Model, rotor_motors
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
@@ -48,6 +47,7 @@ from groundstation.identification.fit_record import (
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import LEAST_S, Stretch, stretches_of
+from groundstation.telemetry.arrays import AXES
 
 STEPS_DRAWN = 4
 AHEAD_S = (0.02, 0.05)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.registry import DELAY
 from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, Setup
 from groundstation.identification.estimate import inverse
@@ -17,6 +16,7 @@ from groundstation.identification.likelihood.free_spectra import FreeFit, fit_fr
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, Point, value
 from groundstation.identification.runs import Run
 from groundstation.identification.speed_noise import speed_spectrum
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import FULL_16_BIT
 
 Known = tuple[Point, Array]

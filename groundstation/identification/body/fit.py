@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.model import BodyConstants
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.unknowns import to_stderr, to_values
@@ -66,6 +65,7 @@ from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.stretches import Stretch, paced
+from groundstation.telemetry.arrays import Array
 
 TRIAL_STEP_S, TRIED_S, TRIED_LAG_S = 2e-3, 0.016, 3e-3
 """Delays some ms apart can predict almost equally well: each is tried, the best are followed."""

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 Learnt = tuple[Array, Array]
 """Normal matrix (m, m) and right-hand side (m,) of the regression, sums over rows."""

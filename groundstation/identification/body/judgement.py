@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
@@ -18,6 +17,7 @@ from groundstation.identification.likelihood.free_spectra import FreeFit
 from groundstation.identification.likelihood.parameters import Point, value
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
+from groundstation.telemetry.arrays import AXES, Array
 
 CLEAR = 6.0
 """Standard errors from which an effect that was left out is worth a word."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.effect import CANDIDATES, GYRO, Role
 from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP
@@ -32,6 +31,7 @@ from groundstation.identification.likelihood.residuals import evaluate
 from groundstation.identification.motor.supply import LAG, SAG
 from groundstation.identification.stretches import Stretch
 from groundstation.identification.velocity import velocity_in
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 GAINS = ("c0", "c1")

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.identification.body.fit import BodyFit, vertical
 from groundstation.identification.body.foretelling import foretold, learnt
 from groundstation.identification.body.setup import Setup, on_other
@@ -14,6 +13,7 @@ from groundstation.identification.estimate import fit_percent, rms
 from groundstation.identification.likelihood.free_spectra import minimum_phase_whitener
 from groundstation.identification.likelihood.parameters import Point
 from groundstation.identification.stretches import Stretch
+from groundstation.telemetry.arrays import AXES, Array
 
 HORIZONS_S = (0.02, 0.05)
 SHAKEN_S = 0.05

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from groundstation.arrays import AXES, Array
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_motors, with_motor
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP, at_stage
 from groundstation.dynamics.vehicle import Vehicle
@@ -52,6 +51,7 @@ from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import Stretch, paced, quicker, stretches_of
 from groundstation.identification.torque import by_saturation
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 AHEAD_S, DRAWN_S = 0.02, 3.0

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.effect import Stage
 from groundstation.dynamics.law import SPIN, Craft
 from groundstation.identification.attitude_rows import FIRMWARE_GAIN
@@ -32,6 +31,7 @@ from groundstation.identification.likelihood.sensing import (
     Sensors,
 )
 from groundstation.identification.read_between import mean_between
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Columns = dict[int, Array]

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.identification.estimate import bounded_step
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import Point, value
 from groundstation.identification.likelihood.spectra import Spectrum
+from groundstation.telemetry.arrays import Array
 
 HALF_WIDTH_HZ, LEAST_BINS = 0.8, 4
 """Half the width of the moving mean over a periodogram, and its least number of bins to a side: the

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.effect import Effect, Stage
 from groundstation.dynamics.law import VALUE_SLOTS, Body, Craft, Reading
 from groundstation.dynamics.unknowns import Key, to_values
+from groundstation.telemetry.arrays import Array
 
 STEPS_PER_RADIAN = 2.0
 """Steps of the integrator over the time constant of the fastest state: Runge-Kutta is then right

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from groundstation.arrays import Array
+from groundstation.telemetry.arrays import Array
 
 FIRMWARE_HZ = 1000.0
 """Rate of the firmware's sensor loop."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ACCELEROMETER, ATTITUDE, Columns
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import Point
 from groundstation.identification.likelihood.residuals import Series, evaluate
 from groundstation.identification.likelihood.spectra import Spectrum, Vertical, transform
+from groundstation.telemetry.arrays import Array
 
 END_SPEED_M_S = 0.3
 """Vertical speed that what was recorded of a flight may end with, on the ground as well: a

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
 from groundstation.identification.flight import Flight, quaternion_rows
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.rotors import Rotors
 from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S, velocity_in
+from groundstation.telemetry.arrays import Array
 
 Rows = tuple[Any, ...]
 """Arrays (n,), one for each axis or rotor; a plain number where it is the same in every row."""

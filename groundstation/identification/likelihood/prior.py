@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.registry import DELAY, SPIN_UP
 from groundstation.dynamics.vehicle import Vehicle
@@ -22,6 +21,7 @@ from groundstation.identification.likelihood.parameters import (
     Point,
     point_of,
 )
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001

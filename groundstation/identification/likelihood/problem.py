@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.unknowns import Key
@@ -46,6 +45,7 @@ from groundstation.identification.likelihood.spectra import (
     trimmed,
     whiten_by_own,
 )
+from groundstation.telemetry.arrays import Array
 
 BASE_KEYS = (*BODY_KEYS, *MOTOR_KEYS, TIMING)
 NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2

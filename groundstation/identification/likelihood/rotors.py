@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.craft import add_effects
 from groundstation.dynamics.law import Craft, Supply
 from groundstation.dynamics.model import rotor_motors
@@ -18,6 +17,7 @@ from groundstation.identification.likelihood.laws import Acting, in_order
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, value
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import squares_between
+from groundstation.telemetry.arrays import Array
 
 SUBSTEPS = 1
 FASTEST_REV_S = 2000.0

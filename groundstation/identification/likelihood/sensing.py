@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.effect import ANGLES, Role
 from groundstation.dynamics.law import FAR_M, Body, Craft, Reading
 from groundstation.identification.likelihood.laws import Acting
@@ -33,6 +32,7 @@ from groundstation.identification.likelihood.motion import (
     one_before,
     stacked,
 )
+from groundstation.telemetry.arrays import Array
 
 PROBE = 1e-3
 """Step of the differences in SI: small beside what a sensor reads in flight."""

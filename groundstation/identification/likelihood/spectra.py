@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ATTITUDE
 from groundstation.identification.likelihood.residuals import Series
+from groundstation.telemetry.arrays import Array
 
 TAPER = 0.03
 """Share of a flight over which it fades in and out."""

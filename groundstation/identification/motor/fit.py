@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.motor import armature_mv
 from groundstation.dynamics.registry import EFFECTS as CATALOGUE
 from groundstation.dynamics.vehicle import MotorConstants
@@ -31,6 +30,7 @@ from groundstation.identification.motor.problem import (
 )
 from groundstation.identification.motor.rotor_speed import speed_from_gate
 from groundstation.identification.runs import Run, require_known
+from groundstation.telemetry.arrays import Array
 
 NAMES = ("a0", "a1", "a2", "delay_s")
 LEAST_READINGS = 200

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from groundstation.arrays import Array
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.motor import armature_mv, simulate_motor
 from groundstation.dynamics.vehicle import MotorConstants, mean_motor
@@ -32,6 +31,7 @@ from groundstation.identification.motor.rotors import (
     validate_rotor,
 )
 from groundstation.identification.runs import Run, require_known
+from groundstation.telemetry.arrays import Array
 
 Four = list[MotorRun | None]
 """What the sensors of M1..M4 show in one run; None for one that does not work."""

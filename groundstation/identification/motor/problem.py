@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.registry import EFFECTS as LISTED
+from groundstation.telemetry.arrays import Array
 
 DELAY, SHARED = 3, 4
 """Places among the parameters: the common delay, and what comes after a0, a1, a2 and it: the

@@ -24,7 +24,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
@@ -37,6 +36,7 @@ from groundstation.identification.motor.problem import (
     MotorProblem,
     MotorRun,
 )
+from groundstation.telemetry.arrays import Array
 
 PIECE_S = 10.0
 """Pieces of flights: their scores scatter as the estimate does, and each may have a U of its own.

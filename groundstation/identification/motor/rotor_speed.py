@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
+from groundstation.telemetry.arrays import Array
 
 WINDOW = 11
 """Fresh readings around each one that it is compared with."""

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.vehicle import MotorConstants, Motors, mean_motor
 from groundstation.errors import BadInputError
@@ -28,6 +27,7 @@ from groundstation.identification.motor.rotor_problem import (
     constants_of,
     shape_of,
 )
+from groundstation.telemetry.arrays import Array
 
 UNKNOWN = 0.6
 """Standard error of ln T from which a time constant is not identified (as in the bench's fit)."""

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.arrays import Array
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.motor import each_motor, simulate_motor
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle
@@ -27,6 +26,7 @@ from groundstation.identification.estimate import inverse, rms, sandwich
 from groundstation.identification.motor.fit import MotorFit, bench_run, fit_motor
 from groundstation.identification.runs import Run, require_known
 from groundstation.prediction.battery_rhythm import held, reading_rhythm
+from groundstation.telemetry.arrays import Array
 
 LAGS_S = np.concatenate([[0.0], np.geomspace(0.02, 0.5, 24)])
 FINER = 3
