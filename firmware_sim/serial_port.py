@@ -12,7 +12,8 @@ from typing import Any, Self
 
 from numpy.typing import NDArray
 
-from groundstation.telemetry.framing import FRAME_BYTES, frame_packets, port_and_baud
+from groundstation.telemetry.packet import SERIAL_FRAME_BYTES as FRAME_BYTES
+from groundstation.telemetry.packet import frame_packets, port_and_baud
 
 QUEUE_FRAMES = 2000
 """A second of every copy. The driver of a port holds about as much for a reader that is busy, a

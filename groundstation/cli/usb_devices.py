@@ -6,7 +6,7 @@ import errno
 import os
 from typing import Any
 
-from groundstation.telemetry.bridge_usb import INTERFACE
+from groundstation.telemetry.packet import INTERFACE
 
 CRAZYFLIE = {"1915:7777": "Crazyradio", "35f0:bad2": "Crazyradio 2", "0483:5740": "Crazyflie"}
 """What reaches a stock craft."""

@@ -22,8 +22,8 @@ from groundstation.errors import BadInputError
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.telemetry.arrays import AXES, Array
-from groundstation.telemetry.masks import spans
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.telemetry.samples import spans
 
 BAND_HZ = (4.0, 18.0)
 LATEST_S = 0.03

@@ -21,7 +21,7 @@ from groundstation.discrepancy.findings import (
 )
 from groundstation.dynamics.model import Disturbance, Model
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import filled
+from groundstation.telemetry.samples import filled
 
 GIVEN, BASE = "given model", "base constants"
 """Names of the first steps of a proof."""

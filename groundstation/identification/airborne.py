@@ -16,7 +16,7 @@ from groundstation.identification.runs import Run
 from groundstation.prediction.drive import TURNING
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of, struck
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import spans
+from groundstation.telemetry.samples import spans
 
 Mask = NDArray[np.bool_]
 

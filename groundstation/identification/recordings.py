@@ -26,10 +26,16 @@ from groundstation.identification.runs import (
     with_possible_duty,
     with_readings,
 )
-from groundstation.telemetry.masks import filled, spans
-from groundstation.telemetry.renewal import HELD, SETTINGS_HZ, renewals, slower_than_rows
-from groundstation.telemetry.row_clock import on_even_grid
-from groundstation.telemetry.samples import SampleBatch
+from groundstation.telemetry.samples import (
+    HELD,
+    SETTINGS_HZ,
+    SampleBatch,
+    filled,
+    on_even_grid,
+    renewals,
+    slower_than_rows,
+    spans,
+)
 
 LONGEST_GAP_S = 0.1
 """A longer silence ends a run: the motors' inputs are no longer known."""

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInputError
 from groundstation.identification.supply_answer import at_the_rows_voltage
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import spans
-from groundstation.telemetry.row_clock import on_even_grid
-from groundstation.telemetry.samples import SampleBatch
+from groundstation.telemetry.samples import SampleBatch, on_even_grid, spans
 
 Mask = NDArray[np.bool_]
 

@@ -14,7 +14,7 @@ from groundstation.identification.airborne import airborne
 from groundstation.identification.runs import Run, require_known
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.identification.torque import RotorSquares, measured_squares, rotor_squares
-from groundstation.telemetry.masks import spans
+from groundstation.telemetry.samples import spans
 
 LEAST_S, PIECE_S = 4.0, 1.0
 """Shortest sum of stretches, and shortest stretch, worth identifying on."""

@@ -19,8 +19,7 @@ from groundstation.links.clock import HostClock, steady_clock
 from groundstation.links.command import CommandLink
 from groundstation.links.event import EventSink, LinkEvent
 from groundstation.telemetry.decoder import DecoderCounts
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import RawBatch, SampleBatch
+from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
 
 LinkBatch = RawBatch | SampleBatch
 """What a link delivers: packets, or samples where the source never had packets (microSD)."""

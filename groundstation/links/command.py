@@ -18,7 +18,7 @@ from groundstation.links.clock import HostClock, steady_clock
 from groundstation.links.event import EventSink, LinkEvent
 from groundstation.links.parameter_storage import ParameterStorage
 from groundstation.links.supervisor import Supervisor
-from groundstation.telemetry.log_table import LogTable
+from groundstation.telemetry.samples import LogTable
 
 THRUST_MOST = 60000
 """The firmware limits thrust to this."""

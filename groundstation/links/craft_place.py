@@ -14,7 +14,7 @@ from groundstation.links.clock import HostClock
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.log_rows import WRAP_MS
 from groundstation.links.supervisor import LEAN, PLACE, Place
-from groundstation.telemetry.log_table import LogTable
+from groundstation.telemetry.samples import LogTable
 
 PLACE_MS = 40
 """Between two of them: 25 a second, 18 bytes each."""

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from groundstation.links.log_plan import QUATERNION, LogPlan
 from groundstation.recording.microsd_channels import samples_from_columns
 from groundstation.telemetry.decoder import DecoderCounts
-from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.packet import FULL_16_BIT
-from groundstation.telemetry.samples import SampleBatch, empty_samples
+from groundstation.telemetry.samples import LogTable, SampleBatch, empty_samples
 
 TICK_S = 1e-6
 """Device time is kept in microseconds, as in microSD logs."""

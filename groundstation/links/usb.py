@@ -22,12 +22,7 @@ from groundstation.links.clock import HostClock
 from groundstation.links.usb_device import DEFAULT_DEVICE, BridgeDevice, release
 from groundstation.links.usb_frames import FrameClock
 from groundstation.links.usb_ring import DEPTH, DRAIN_S, FRAMES, OVERRUN, STALLED, Block, IsoRing
-from groundstation.telemetry.bridge_usb import (
-    ENDPOINT,
-    FRAME_NS,
-    FRAME_PACKETS,
-)
-from groundstation.telemetry.packet import PACKET_BYTES, Packets
+from groundstation.telemetry.packet import ENDPOINT, FRAME_NS, FRAME_PACKETS, PACKET_BYTES, Packets
 from groundstation.telemetry.samples import RawBatch
 
 POLL_S = 0.5

@@ -9,14 +9,8 @@ from typing import Any
 
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.usb_ring import IsoRing
-from groundstation.telemetry.bridge_usb import (
-    ALTERNATE,
-    ENDPOINT,
-    FRAME_BYTES,
-    INTERFACE,
-    PRODUCT_ID,
-    VENDOR_ID,
-)
+from groundstation.telemetry.packet import ALTERNATE, ENDPOINT, INTERFACE, PRODUCT_ID, VENDOR_ID
+from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
 
 DEFAULT_DEVICE = f"{VENDOR_ID:04x}:{PRODUCT_ID:04x}"
 PERMISSION_HELP = (

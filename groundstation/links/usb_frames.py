@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
-from groundstation.telemetry.bridge_usb import FRAME_NS
+from groundstation.telemetry.packet import FRAME_NS
 
 LEAK_NS = 200
 """Rise of the offset with each frame: the bus may be slower than the host's clock by 200 ppm."""

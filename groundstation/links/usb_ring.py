@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from groundstation.errors import LinkError
-from groundstation.telemetry.bridge_usb import FRAME_BYTES
+from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
 
 FRAMES = 8
 """Per transfer: packets are seen at most so many milliseconds after they came."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import body_rates
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import filled
+from groundstation.telemetry.samples import filled
 
 Mask = NDArray[np.bool_]
 Walk = tuple[float, float, float]

@@ -21,7 +21,7 @@ from groundstation.errors import BadInputError
 from groundstation.prediction.battery_rhythm import between_readings
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import spans
+from groundstation.telemetry.samples import spans
 
 Mask = NDArray[np.bool_]
 

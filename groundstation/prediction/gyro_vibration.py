@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import filled
+from groundstation.telemetry.samples import filled
 
 Mask = NDArray[np.bool_]
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.telemetry.samples import filled
 
 KNOWN_S = 6.0
 """Height is known for so long after the motors' start and at most so long before they stop: to some

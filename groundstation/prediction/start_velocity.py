@@ -11,8 +11,8 @@ import numpy as np
 
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.telemetry.samples import filled
 
 LEVEL_S, LEAST_S = 8.0, 2.0
 """Over so much of a flight the mean is taken: a craft that travels 2 m in it is judged 0.25 m/s

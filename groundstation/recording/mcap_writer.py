@@ -28,8 +28,7 @@ from groundstation.recording.mcap_schemas import (
 from groundstation.recording.mcap_tables import TableTopic
 from groundstation.recording.recording_file import RecordingFile
 from groundstation.recording.session import Table
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import RawBatch, SampleBatch
+from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
 
 MEBIBYTE = 1024 * 1024
 RecorderState = Literal["recording", "finished", "failed", "low_space"]

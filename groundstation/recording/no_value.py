@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.plausibility import KINDS
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import spans
-from groundstation.telemetry.samples import SampleBatch
+from groundstation.telemetry.samples import SampleBatch, spans
 
 Mask = NDArray[np.bool_]
 

@@ -33,16 +33,17 @@ from groundstation.telemetry.packet import (
     STANDARD_GRAVITY,
     TICK_S,
 )
-from groundstation.telemetry.renewal import (
+from groundstation.telemetry.samples import (
     FIELDS,
     HELD,
     SETTINGS_HZ,
+    RowSteps,
+    SampleBatch,
     renewals,
+    row_steps,
     rows_held,
     slower_than_rows,
 )
-from groundstation.telemetry.row_clock import RowSteps, row_steps
-from groundstation.telemetry.samples import SampleBatch
 
 GAPS_LISTED = 100
 """The report lists this many of the longest gaps; ``gap_count`` counts all."""

@@ -19,9 +19,7 @@ from groundstation.recording.no_value import sentinels, standing
 from groundstation.recording.plausibility import BARELY, KINDS, Kind
 from groundstation.recording.session import Recording
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import spans
-from groundstation.telemetry.renewal import renewals
-from groundstation.telemetry.samples import OVERDRIVEN, SampleBatch
+from groundstation.telemetry.samples import OVERDRIVEN, SampleBatch, renewals, spans
 
 Mask = NDArray[np.bool_]
 

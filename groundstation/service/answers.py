@@ -7,7 +7,7 @@ from typing import Literal
 import msgspec
 
 from groundstation.service.requests import CraftIdentity, Place
-from groundstation.telemetry.statistics import LinkStatistics
+from groundstation.telemetry.decoder import LinkStatistics
 
 
 class LinkStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -23,7 +23,7 @@ from groundstation.service.devices import Devices
 from groundstation.service.jobs import Job
 from groundstation.service.models import ModelEntry
 from groundstation.service.station import Station
-from groundstation.telemetry.framing import port_and_baud
+from groundstation.telemetry.packet import port_and_baud
 
 Work = Callable[[Any], Awaitable[Any]]
 

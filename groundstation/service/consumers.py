@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from groundstation.links.event import LinkEvent
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import SampleBatch
-from groundstation.telemetry.statistics import LinkStatistics
+from groundstation.telemetry.decoder import LinkStatistics
+from groundstation.telemetry.samples import LogTable, SampleBatch
 
 if TYPE_CHECKING:
     from groundstation.twin.twin import Shown

@@ -24,7 +24,7 @@ from groundstation.service.config import DEFAULT_VEHICLE, Config, link_speed
 from groundstation.service.dongles import Dongles
 from groundstation.service.journal import Journal
 from groundstation.service.receiver import Receiver
-from groundstation.telemetry.log_table import LogTable
+from groundstation.telemetry.samples import LogTable
 
 
 def telemetry_link(

@@ -20,9 +20,15 @@ from groundstation.errors import (
     LinkLostError,
 )
 from groundstation.links.base import Link, LinkState
-from groundstation.telemetry.decoder import Decoded, Decoder, DecoderCounts, compile_kernel
+from groundstation.telemetry.decoder import (
+    Decoded,
+    Decoder,
+    DecoderCounts,
+    LinkMeter,
+    LinkStatistics,
+    compile_kernel,
+)
 from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
 
 RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
 BUSY_S = 0.005

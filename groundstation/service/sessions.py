@@ -15,9 +15,8 @@ from groundstation.links.event import LinkEvent
 from groundstation.paths import dated
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
 from groundstation.recording.recording_file import session_metadata
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.telemetry.statistics import LinkStatistics
+from groundstation.telemetry.decoder import LinkStatistics
+from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
 
 if TYPE_CHECKING:
     from groundstation.twin.twin import Shown

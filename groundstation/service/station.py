@@ -45,9 +45,8 @@ from groundstation.service.sessions import Sessions
 from groundstation.service.stream import Stream
 from groundstation.service.supervisor import Supervisor
 from groundstation.service.twin import SOURCE, TwinService
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.telemetry.statistics import LinkStatistics
+from groundstation.telemetry.decoder import LinkStatistics
+from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
 from groundstation.viewer.viewer import Viewer, ViewerMode
 
 if TYPE_CHECKING:

@@ -17,9 +17,8 @@ from groundstation.comparison.channels import CHANNELS
 from groundstation.errors import TakenError
 from groundstation.links.event import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import SampleBatch
-from groundstation.telemetry.statistics import LinkStatistics
+from groundstation.telemetry.decoder import LinkStatistics
+from groundstation.telemetry.samples import LogTable, SampleBatch
 
 if TYPE_CHECKING:
     from groundstation.twin.twin import Shown

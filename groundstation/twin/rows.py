@@ -13,9 +13,8 @@ from groundstation.identification.recordings import LONGEST_GAP_S
 from groundstation.identification.runs import FASTEST_HZ, both_settings
 from groundstation.identification.supply_answer import SupplyAnswer, at_the_rows_voltage
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
-from groundstation.telemetry.samples import SampleBatch
+from groundstation.telemetry.samples import SampleBatch, filled
 
 SLOWEST_HZ = 200.0
 """Slower telemetry has too few rows in half a second to be judged."""

@@ -10,9 +10,8 @@ import numpy as np
 
 from groundstation.links.event import LinkEvent
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
-from groundstation.telemetry.statistics import LinkStatistics
+from groundstation.telemetry.decoder import LinkStatistics
+from groundstation.telemetry.samples import COLUMNS, LogTable, SampleBatch, empty_samples
 
 if TYPE_CHECKING:
     from groundstation.twin.twin import Shown

@@ -21,9 +21,8 @@ from urllib.parse import quote
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.event import LinkEvent
 from groundstation.rerun_log.installed import rerun_command, rerun_program
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import SampleBatch
-from groundstation.telemetry.statistics import LinkStatistics
+from groundstation.telemetry.decoder import LinkStatistics
+from groundstation.telemetry.samples import LogTable, SampleBatch
 from groundstation.viewer.child import Child
 from groundstation.viewer.messages import (
     MAX_ROWS,

@@ -8,11 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.telemetry.bridge_usb import (
-    ALTERNATE,
-    ENDPOINT,
-    INTERFACE,
-)
+from groundstation.telemetry.packet import ALTERNATE, ENDPOINT, INTERFACE
 from support.firmware import UsbControl, firmware, octets
 from support.usb_descriptors import (
     configuration_descriptor,

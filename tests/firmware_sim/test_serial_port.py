@@ -15,7 +15,8 @@ import serial
 from firmware_sim.__main__ import main
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.serial_port import QUEUE_FRAMES, SerialPort
-from groundstation.telemetry.framing import FRAME_BYTES, Deframer, frame_packets
+from groundstation.telemetry.packet import SERIAL_FRAME_BYTES as FRAME_BYTES
+from groundstation.telemetry.packet import Deframer, frame_packets
 from support.programs import Program
 
 PACKETS = np.arange(40 * 32, dtype=np.uint32).reshape(40, 32).astype(np.uint8)

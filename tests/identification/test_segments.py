@@ -12,7 +12,7 @@ from groundstation.identification.segments import (
     selected,
 )
 from groundstation.identification.stretches import stretches_of
-from groundstation.telemetry.masks import spans
+from groundstation.telemetry.samples import spans
 from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]

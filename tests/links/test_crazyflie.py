@@ -17,7 +17,7 @@ from groundstation.links.command import CommandState
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.factory import make_command_link
 from groundstation.links.supervisor import Place, Supervisor
-from groundstation.telemetry.log_table import LogTable
+from groundstation.telemetry.samples import LogTable
 from support.crafts import ServedCraft, served
 from support.crafts import flown_link as flown
 from support.programs import free_port

@@ -19,7 +19,8 @@ from groundstation.links.base import LinkState
 from groundstation.links.factory import make_link
 from groundstation.links.serial import SerialLink
 from groundstation.telemetry.decoder import decode_all
-from groundstation.telemetry.framing import BAUD, FRAME_BYTES, frame_packets
+from groundstation.telemetry.packet import BAUD, frame_packets
+from groundstation.telemetry.packet import SERIAL_FRAME_BYTES as FRAME_BYTES
 from support.crafts import SerialCraft
 from support.links import LinkContract, joined, listen, packets_read, read_span
 from support.one_flight import BRIDGES, OneFlight, require_same_on_this_machine

@@ -15,7 +15,8 @@ from groundstation.links.factory import make_link
 from groundstation.links.usb import UsbLink
 from groundstation.links.usb_device import parse_ids
 from groundstation.links.usb_ring import FRAMES, Block, require_private_names
-from groundstation.telemetry.bridge_usb import FRAME_BYTES, FRAME_NS
+from groundstation.telemetry.packet import FRAME_NS
+from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
 from support.waiting import eventually
 
 ABSENT = "1209:0001"

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.links.usb_frames import SETTLE_BLOCKS, FrameClock
-from groundstation.telemetry.bridge_usb import FRAME_NS
+from groundstation.telemetry.packet import FRAME_NS
 
 FRAMES = 8
 QUEUED = 120

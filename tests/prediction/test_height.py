@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from groundstation.prediction.height import heights_of, rise_of
-from groundstation.telemetry.masks import spans
+from groundstation.telemetry.samples import spans
 from support.flights import recorded
 
 PROGRAMME = """name = "low"

@@ -12,8 +12,7 @@ from groundstation.recording.microsd import read_microsd
 from groundstation.recording.quality import GAPS_LISTED, inspect_recording
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import SAMPLE_TICKS
-from groundstation.telemetry.row_clock import row_steps
-from groundstation.telemetry.samples import RawBatch, empty_samples
+from groundstation.telemetry.samples import RawBatch, empty_samples, row_steps
 from support.packets import flight, packet_recording, packet_recordings
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

@@ -7,8 +7,7 @@ from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.sessions import Sessions
-from groundstation.telemetry.decoder import Decoder
-from groundstation.telemetry.statistics import LinkMeter
+from groundstation.telemetry.decoder import Decoder, LinkMeter
 from support.packets import COPIES, assert_same_samples, flight
 
 METADATA = {"vehicle": {"profile": "crazyflie1"}, "configuration": {"speed": "1.0"}}

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from groundstation.telemetry.bridge_usb import (
-    ALTERNATE,
-    ENDPOINT,
-    FRAME_BYTES,
-    INTERFACE,
-    PRODUCT_ID,
-    VENDOR_ID,
-)
+from groundstation.telemetry.packet import ALTERNATE, ENDPOINT, INTERFACE, PRODUCT_ID, VENDOR_ID
+from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
 
 INTERVAL = 1
 MAX_POWER_MA = 100

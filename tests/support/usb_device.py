@@ -21,12 +21,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.telemetry.bridge_usb import (
-    ALTERNATE,
-    ENDPOINT,
-    FRAME_BYTES,
-    FRAME_S,
-)
+from groundstation.telemetry.packet import ALTERNATE, ENDPOINT, FRAME_S
+from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
 from support.usb_descriptors import (
     configuration_descriptor,
     device_descriptor,

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.telemetry import bridge_usb
-from groundstation.telemetry.framing import frame_packets
-from groundstation.telemetry.packet import encode
+from groundstation.telemetry import packet as bridge_usb
+from groundstation.telemetry.packet import encode, frame_packets
 from support.programs import run_program
 from support.usb_descriptors import configuration_descriptor, device_descriptor
 

@@ -9,14 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from groundstation.telemetry.framing import (
-    DELIMITER,
-    FRAME_BYTES,
-    STUFFED_BYTES,
-    Deframer,
-    crc16,
-    frame_packets,
-)
+from groundstation.telemetry.packet import DELIMITER, STUFFED_BYTES, Deframer, crc16, frame_packets
+from groundstation.telemetry.packet import SERIAL_FRAME_BYTES as FRAME_BYTES
 
 packets_of_any_content = hnp.arrays(
     np.uint8,

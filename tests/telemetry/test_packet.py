@@ -14,10 +14,7 @@ from groundstation.telemetry.packet import (
     encode,
     motor_counts,
 )
-from groundstation.telemetry.samples import (
-    packet_counts,
-    samples_from_packets,
-)
+from groundstation.telemetry.samples import packet_counts, samples_from_packets
 
 GOLDEN = bytes.fromhex(
     "06 24"  # timestamp 9222, the low 16 bits of 17114118

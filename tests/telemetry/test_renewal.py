@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.telemetry.renewal import renewals, rows_held, slower_than_rows
+from groundstation.telemetry.samples import renewals, rows_held, slower_than_rows
 
 RNG = np.random.default_rng(0)
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.telemetry.row_clock import on_even_grid, row_steps
-from groundstation.telemetry.samples import empty_samples
+from groundstation.telemetry.samples import empty_samples, on_even_grid, row_steps
 
 PERIOD_S = 0.01
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from groundstation.telemetry.decoder import Decoder
+from groundstation.telemetry.decoder import Decoder, LinkMeter
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import RawBatch
-from groundstation.telemetry.statistics import LinkMeter
 from support.packets import COPIES, START_NS, flight
 
 SECOND_NS = 1_000_000_000

@@ -21,10 +21,8 @@ from groundstation.errors import BadInputError, GroundStationError, TakenError
 from groundstation.links.event import LinkEvent
 from groundstation.rerun_log.channels import GROUPS, scaled
 from groundstation.rerun_log.installed import rerun_program
-from groundstation.telemetry.decoder import Decoder
-from groundstation.telemetry.log_table import LogTable
-from groundstation.telemetry.samples import SampleBatch
-from groundstation.telemetry.statistics import LinkMeter
+from groundstation.telemetry.decoder import Decoder, LinkMeter
+from groundstation.telemetry.samples import LogTable, SampleBatch
 from groundstation.viewer.viewer import Viewer, ViewerMode
 from support.programs import Program, run_program
 from support.rrd import SCALARS, TEXT, column

@@ -45,7 +45,7 @@ from groundstation.identification.motor.supply import (
 from groundstation.identification.preparation import bench_preparation
 from groundstation.identification.runs import Run, require_known
 from groundstation.identification.segments import EVERYTHING, Selection, selected
-from groundstation.telemetry.masks import spans
+from groundstation.telemetry.samples import spans
 
 START_S, PIECE_S = 0.5, 2.0
 SUPPLY_DOUBT = (

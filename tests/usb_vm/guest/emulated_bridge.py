@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import LinkError, LinkLostError
-from groundstation.telemetry.bridge_usb import FRAME_S
+from groundstation.telemetry.packet import FRAME_S
 from support.usb_device import UsbBridge
 from support.usbip import attach, serve
 
