@@ -31,10 +31,9 @@ from firmware_sim.layout import (
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
 from firmware_sim.supervisor import NOT_PASSED
-from groundstation.dynamics.craft import Acting
+from groundstation.dynamics.craft import Acting, find_effect
 from groundstation.dynamics.effect import Role
 from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
-from groundstation.dynamics.own_effects import find_effect
 from groundstation.dynamics.registry import EFFECTS as LISTED
 from groundstation.dynamics.vehicle import BUILT_IN, Vehicle, load_vehicle, rotor_positions_m
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from groundstation.dynamics.model import load_model as load_model
     from groundstation.dynamics.model import save_model as save_model
     from groundstation.dynamics.model import vehicle_model as vehicle_model
-    from groundstation.dynamics.reference import load_reference as load_reference
     from groundstation.dynamics.vehicle import Vehicle as Vehicle
     from groundstation.dynamics.vehicle import load_vehicle as load_vehicle
     from groundstation.errors import BadInputError as BadInputError
@@ -44,8 +43,9 @@ if TYPE_CHECKING:
     from groundstation.identification.runs import Run as Run
     from groundstation.identification.runs import runs_of as runs_of
     from groundstation.identification.segments import parse_selection as parse_selection
+    from groundstation.prediction.prediction import fly_reference as fly_reference
+    from groundstation.prediction.prediction import load_reference as load_reference
     from groundstation.prediction.prediction import predict_ahead as predict_ahead
-    from groundstation.prediction.reference_flight import fly_reference as fly_reference
     from groundstation.recording.open_recording import open_recording as open_recording
     from groundstation.recording.recording_file import write_mcap as write_mcap
     from groundstation.recording.session import Recording as Recording
@@ -86,14 +86,14 @@ PUBLIC = {
     "fit_body": "identification.body.workflow.identify_body",
     "fit_motor": "identification.motor.workflow.identify_motor",
     "flights_of": "identification.recordings.flights_of",
-    "fly_reference": "prediction.reference_flight.fly_reference",
+    "fly_reference": "prediction.prediction.fly_reference",
     "gains_text": "control.gains_file.gains_text",
     "hold_out": "identification.division.hold_out",
     "kalman": "attitude.filters.kalman",
     "live": "service.client.live",
     "load_gains": "control.gains_file.load_gains",
     "load_model": "dynamics.model.load_model",
-    "load_reference": "dynamics.reference.load_reference",
+    "load_reference": "prediction.prediction.load_reference",
     "load_vehicle": "dynamics.vehicle.load_vehicle",
     "open_recording": "recording.open_recording.open_recording",
     "parse_selection": "identification.segments.parse_selection",

@@ -13,7 +13,7 @@ from firmware_sim.compiled import inner
 from firmware_sim.layout import LAW_BODY, LAW_SENSOR, LAW_STATES, RATE, ROTOR, VELOCITY, Record
 from groundstation.dynamics.chains import own_chain
 from groundstation.dynamics.craft import Acting, Crafts, craft_of_laws
-from groundstation.dynamics.law import Body, Craft, Motor, Reading, to_body
+from groundstation.dynamics.effect import Body, Craft, Motor, Reading, to_body
 from groundstation.dynamics.registry import COMPILED
 from groundstation.dynamics.sensors import resting_sensors
 

@@ -59,7 +59,7 @@ def _options(
     ),
 ) -> None:
     if trust_effects:
-        from groundstation.dynamics.trust import consent
+        from groundstation.dynamics.craft import consent
 
         consent()
 

@@ -58,7 +58,7 @@ def compare(
 
     from groundstation import compare as judge
     from groundstation.discrepancy.report_json import CompareReport, gap_of
-    from groundstation.dynamics.suitability import suitability, verdict
+    from groundstation.dynamics.meanings import suitability, verdict
 
     if html is not None:
         require_new(html)

@@ -120,7 +120,7 @@ def discrepancy(
 
 
 def _own(path: Path | None) -> list[Variant]:
-    from groundstation.dynamics.trust import consent
+    from groundstation.dynamics.craft import consent
     from groundstation.identification.likelihood.parameters import own_effects
 
     if path is None:

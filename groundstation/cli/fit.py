@@ -305,7 +305,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
     import msgspec
 
     from groundstation import __version__, save_model
-    from groundstation.dynamics.origin import origin_notes
+    from groundstation.dynamics.model import origin_notes
 
     given = [_fingerprint(path) for path in files.validate]
     documented = found.documented(

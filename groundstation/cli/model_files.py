@@ -15,7 +15,7 @@ from groundstation.paths import taken
 
 if TYPE_CHECKING:
     from groundstation import Model, Recording, Run
-    from groundstation.dynamics.arx import Turning
+    from groundstation.dynamics.model import Turning
 
 HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON for programs.")
@@ -102,7 +102,7 @@ def fitted_model(source: str, *, attitude: bool = False) -> Model:
     Raises BadInputError for a body of a profile.
     """
     from groundstation import load_model
-    from groundstation.dynamics.origin import origin_notes, require_fitted_body
+    from groundstation.dynamics.model import origin_notes, require_fitted_body
 
     model = load_model(source)
     if not (attitude and model.arx is not None and {"roll", "pitch", "yaw"} <= set(model.arx)):
@@ -117,7 +117,7 @@ def told_turning(model: Model, said: str | None) -> Turning:
 
     Raises BadInputError for a choice that the model does not leave.
     """
-    from groundstation.dynamics.arx import arx_labels, turning_of
+    from groundstation.dynamics.model import arx_labels, turning_of
 
     turning = turning_of(model, said)
     if turning == "arx":

@@ -21,7 +21,7 @@ from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
     from groundstation import Model
-    from groundstation.dynamics.arx import Turning
+    from groundstation.dynamics.model import Turning
 
 HEAD = (
     "time_s,rotor1_rev_s,rotor2_rev_s,rotor3_rev_s,rotor4_rev_s,"

@@ -26,8 +26,7 @@ from groundstation.comparison.refusals import (
 )
 from groundstation.comparison.regimes import motion_of
 from groundstation.comparison.rotor_drive import driven_by_speeds
-from groundstation.dynamics.arx import Turning
-from groundstation.dynamics.model import Model, model_vehicle, require_body
+from groundstation.dynamics.model import Model, Turning, model_vehicle, require_body
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.report.result import Result

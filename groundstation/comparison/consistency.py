@@ -15,9 +15,9 @@ from itertools import combinations, product
 import numpy as np
 
 from groundstation.comparison.regimes import Motion, motion_of
-from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.rotations import euler_rates
+from groundstation.dynamics.vehicle import MIXERS
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from groundstation.comparison.regimes import Motion
-from groundstation.dynamics.mixer import MIXERS, Configuration
-from groundstation.dynamics.motor import armature_mv
+from groundstation.dynamics.simulation import armature_mv
+from groundstation.dynamics.vehicle import MIXERS, Configuration
 from groundstation.identification.runs import Run
 from groundstation.identification.velocity import LEAK_S, velocity_of
 from groundstation.telemetry.arrays import AXES, Array

@@ -29,9 +29,9 @@ from groundstation.comparison.gap import (
 )
 from groundstation.comparison.generic_signals import Kind, Signals, signals_of
 from groundstation.comparison.noise_floor_fit import ChannelPredictor, fit_signals
-from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.rotations import euler_rates
-from groundstation.prediction.attitude_rhythm import fresh_rows
+from groundstation.dynamics.vehicle import Configuration
+from groundstation.prediction.drive import fresh_rows
 from groundstation.telemetry.arrays import Array
 
 SOURCE = (

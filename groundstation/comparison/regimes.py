@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.law import SPIN
+from groundstation.dynamics.effect import SPIN
 from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
-from groundstation.dynamics.motor import REVOLUTION
+from groundstation.dynamics.simulation import REVOLUTION
 from groundstation.identification.airborne import flights_in
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import SATURATED, RotorSquares, rotor_squares

@@ -13,10 +13,10 @@ import numpy as np
 
 from groundstation.comparison.regimes import Motion
 from groundstation.dynamics.craft import craft_of_model
-from groundstation.dynamics.hover import duties_for
-from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS, ROTORS_TURN_BY
+from groundstation.dynamics.simulation import duties_for
+from groundstation.dynamics.vehicle import MIXERS
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import measured_squares

@@ -43,8 +43,8 @@ from groundstation.control.report import (
 )
 from groundstation.control.thesis_tables import GAINS, RESULTS
 from groundstation.control.uncertainty import estimates_of
+from groundstation.dynamics.meanings import WORDS, Use, suitability
 from groundstation.dynamics.model import ArxAxis, Model
-from groundstation.dynamics.suitability import WORDS, Use, suitability
 from groundstation.report.page import Page
 from groundstation.telemetry.arrays import Array
 

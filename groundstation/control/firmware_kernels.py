@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from groundstation.compiled import spliced
-from groundstation.dynamics.attitude_filter import fuse
+from groundstation.dynamics.sensing import fuse
 from groundstation.telemetry.packet import FULL_16_BIT
 
 

@@ -18,11 +18,20 @@ from groundstation.control.firmware_kernels import (
     wrapped,
 )
 from groundstation.control.plant_kernels import STILL, body_on, move
-from groundstation.dynamics import quaternion
-from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, smoothed
+from groundstation.dynamics import sensing as quaternion
 from groundstation.dynamics.craft import SENSOR_STATES
-from groundstation.dynamics.rigid_body import ALL, body_slope, physics
-from groundstation.dynamics.sensing import ROOM, begin, carried, estimated, follow, sense
+from groundstation.dynamics.kernels import ALL, body_slope, physics
+from groundstation.dynamics.sensing import (
+    ROOM,
+    SMOOTHING,
+    UNSMOOTHED,
+    begin,
+    carried,
+    estimated,
+    follow,
+    sense,
+    smoothed,
+)
 from groundstation.telemetry.packet import FULL_16_BIT
 
 DEGREES = 180.0 / math.pi

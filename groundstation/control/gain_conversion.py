@@ -20,8 +20,8 @@ from groundstation.control.firmware_loop import integral_ratios, require_gains
 from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.pid import PidGains
 from groundstation.control.thesis_loop import SUPPLY_MV, counts_per_control
-from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
+from groundstation.dynamics.vehicle import PWM_FULL
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES
 

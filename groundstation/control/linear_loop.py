@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import PidGains
-from groundstation.dynamics.arx import angle_polynomial
-from groundstation.dynamics.model import ArxAxis, Model
+from groundstation.dynamics.model import ArxAxis, Model, angle_polynomial
 from groundstation.dynamics.sensors import delay_of_model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES, Array

@@ -13,13 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from groundstation.control.firmwares import RELEASE_2014, Firmware, firmware_of_model
 from groundstation.dynamics.craft import Crafts, craft_of_model, craft_of_motors
-from groundstation.dynamics.hover import hover_duty, hover_rev_s
-from groundstation.dynamics.law import FAR_M
-from groundstation.dynamics.mixer import MIXERS
+from groundstation.dynamics.effect import FAR_M
 from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
 from groundstation.dynamics.sensors import SENSORS, sensors_of_model
-from groundstation.dynamics.simulation import accelerations, with_states
-from groundstation.dynamics.state import RATE, ROTOR, craft_state
+from groundstation.dynamics.simulation import (
+    RATE,
+    ROTOR,
+    accelerations,
+    craft_state,
+    hover_duty,
+    hover_rev_s,
+    with_states,
+)
+from groundstation.dynamics.vehicle import MIXERS
 from groundstation.telemetry.arrays import Array
 
 HOVER_REV_S = 230.0

@@ -5,9 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from groundstation.compiled import spliced
-from groundstation.dynamics.kernels import craft_step, normalise
-from groundstation.dynamics.motor_kernels import armature
-from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes
+from groundstation.dynamics.kernels import (
+    ALL,
+    armature,
+    body_slope,
+    craft_step,
+    motor_slopes,
+    normalise,
+)
 
 ROTOR = 13
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

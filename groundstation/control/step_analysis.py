@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from groundstation.control.firmware_loop import run_cascade
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.plant import Plant
-from groundstation.dynamics.mixer import MIXERS, Configuration
+from groundstation.dynamics.vehicle import MIXERS, Configuration
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S

@@ -22,9 +22,8 @@ from groundstation.control.linear_loop import axis_plant, controller, frequency_
 from groundstation.control.margins import LoopResponse
 from groundstation.control.pid import PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
-from groundstation.dynamics.arx import angle_polynomial, stacked
-from groundstation.dynamics.mixer import PWM_FULL
-from groundstation.dynamics.model import Model
+from groundstation.dynamics.model import Model, angle_polynomial, stacked
+from groundstation.dynamics.vehicle import PWM_FULL
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S

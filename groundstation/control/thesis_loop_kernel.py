@@ -8,9 +8,9 @@ import numpy as np
 
 from groundstation.compiled import kernel
 from groundstation.control.plant_kernels import ROTOR, answer, move
-from groundstation.dynamics import quaternion
-from groundstation.dynamics.mixer import PWM_FULL
-from groundstation.dynamics.rigid_body import physics
+from groundstation.dynamics import sensing as quaternion
+from groundstation.dynamics.kernels import physics
+from groundstation.dynamics.vehicle import PWM_FULL
 
 
 @kernel

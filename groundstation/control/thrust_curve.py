@@ -14,8 +14,8 @@ import numpy as np
 
 from groundstation.control.firmwares import Curve, Firmware
 from groundstation.dynamics.craft import craft_of_model
-from groundstation.dynamics.hover import hover_rev_s
 from groundstation.dynamics.model import Model
+from groundstation.dynamics.simulation import hover_rev_s
 from groundstation.recording.session import Recording
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import FULL_16_BIT

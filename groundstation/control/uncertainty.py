@@ -9,15 +9,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from groundstation.dynamics.meanings import DEAD_TIME, MOST_DELAY_S, MOST_STDERR, WORDS, suitability
 from groundstation.dynamics.model import BodyConstants, Estimate, Model, with_motor
 from groundstation.dynamics.registry import DELAY
-from groundstation.dynamics.suitability import (
-    DEAD_TIME,
-    MOST_DELAY_S,
-    MOST_STDERR,
-    WORDS,
-    suitability,
-)
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES, Array

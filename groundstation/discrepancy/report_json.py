@@ -24,8 +24,8 @@ from groundstation.discrepancy.findings import (
     Reason,
 )
 from groundstation.discrepancy.proof import LEFT, Explained, Left, Proof, what_is_left
+from groundstation.dynamics.meanings import suitability, verdict
 from groundstation.dynamics.model import Disturbance, Estimate
-from groundstation.dynamics.suitability import suitability, verdict
 
 WORST = 10
 UNIT = "RMS prediction error 20 and 50 ms ahead over the noise floor (1.0: nothing left to explain)"

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.dynamics.unknowns import Key
+from groundstation.dynamics.effect import Key
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,

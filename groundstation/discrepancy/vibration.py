@@ -18,9 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effect import Role
-from groundstation.dynamics.law import FAR_M, SPIN, Body, Craft
-from groundstation.dynamics.on_board_filter import power_passed
+from groundstation.dynamics.effect import FAR_M, SPIN, Body, Craft, Role, power_passed
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.estimate import bounded_step
 from groundstation.identification.flight import Flight

@@ -23,9 +23,17 @@ from numba.core.errors import NumbaError
 from numba.extending import intrinsic, register_jitable
 
 from groundstation.compiled import callback, called, inner, spliced
-from groundstation.dynamics import law as laws
-from groundstation.dynamics.effect import Effect
-from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS, Body, Craft, Motor, Reading, Supply
+from groundstation.dynamics import effect as laws
+from groundstation.dynamics.effect import (
+    STATE_SLOTS,
+    VALUE_SLOTS,
+    Body,
+    Craft,
+    Effect,
+    Motor,
+    Reading,
+    Supply,
+)
 from groundstation.dynamics.registry import EFFECTS, at_stage
 from groundstation.errors import BadInputError
 

@@ -1,16 +1,32 @@
-"""The numbers that the compiled models fly: one record per craft."""
+"""The numbers that the compiled models fly: one record per craft, a user's own effects
+included.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import os
 from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effect import ANGLES, FORCE, GYRO, Effect, Role, Stage
-from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS
+from groundstation.documents import read_document
+from groundstation.dynamics.effect import (
+    ANGLES,
+    FORCE,
+    GYRO,
+    STATE_SLOTS,
+    VALUE_SLOTS,
+    Effect,
+    Role,
+    Stage,
+)
 from groundstation.dynamics.model import Model, model_vehicle, require_body, rotor_motors
-from groundstation.dynamics.own_effects import find_effect
 from groundstation.dynamics.registry import COMPILED, DISTURBANCE, EFFECTS, at_stage
 from groundstation.dynamics.vehicle import (
     MotorConstants,
@@ -21,6 +37,129 @@ from groundstation.dynamics.vehicle import (
 )
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+# Which Python files of effects may run: a model that names one is a program, not only data.
+
+
+CONSENT = "GROUNDSTATION_TRUST_EFFECTS"
+"""``ALL`` or the SHA-256 of a file: what it names may run, and is known from then on."""
+ALL = "1"
+_SOURCE_MOST = 1 << 20
+
+
+def trusted_source(path: Path) -> bytes:
+    """The content of a Python file that may run: one whose SHA-256 is known, or with consent.
+
+    Raises OSError where it cannot be read, BadInputError where nobody has consented.
+    """
+    content = read_document(path, _SOURCE_MOST)
+    digest = _digest(content)
+    if digest in _known():
+        return content
+    if os.environ.get(CONSENT, "") not in (ALL, digest):
+        raise BadInputError(
+            f"effect file {path} is a Python program that would run with your rights (SHA-256"
+            f" {digest[:16]}..., not known here); read it, and if you trust it say so once with"
+            " 'groundstation --trust-effects COMMAND ...'"
+        )
+    with contextlib.suppress(OSError):  # then it is asked again
+        _known_path().parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with _known_path().open("a", encoding="utf-8") as file:
+            file.write(f"{digest}  {path!s:.200}\n".replace("\n", " ").strip() + "\n")
+    return content
+
+
+def consent(path: Path | None = None) -> None:
+    """Let this program, and those it starts, run the file that the user named; without one, all.
+
+    Raises OSError where it cannot be read.
+    """
+    digest = ALL if path is None else _digest(read_document(path, _SOURCE_MOST))
+    if os.environ.get(CONSENT) != ALL:
+        os.environ[CONSENT] = digest
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _known() -> set[str]:
+    try:
+        lines = read_document(_known_path()).decode(errors="replace").splitlines()
+    except OSError:
+        return set()
+    return {line.split(" ", 1)[0] for line in lines}
+
+
+def _known_path() -> Path:
+    folder = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
+    return Path(folder).expanduser() / "groundstation" / "trusted_effects"
+
+
+# A user's own effects beside the listed ones.
+#
+# A user's file (``--effects FILE``, or a model's ``source``) defines any number at its top level.
+# Whoever flies a model with a source runs that file, as with any Python program: only one that is
+# known, or consented to (``groundstation.dynamics.craft``).
+
+
+@cache
+def load_effects(path: str | Path) -> Mapping[str, Effect]:
+    """The effects that a Python file defines at its top level, by name.
+
+    Raises BadInputError where the file may not or cannot be run, defines none, takes a listed
+    name, or defines one whose law cannot be compiled.
+    """
+    try:
+        found: dict[str, Any] = {"__name__": "effects", "__file__": str(path)}
+        exec(compile(trusted_source(Path(path)), str(path), "exec"), found)
+    except BadInputError:
+        raise
+    except FileNotFoundError as error:
+        raise BadInputError(f"effect file {path}: no such file; correct the path") from error
+    except Exception as error:  # whatever a user's file raises is said as it is
+        raise BadInputError(f"effect file {path}: {type(error).__name__}: {error}") from error
+    theirs = {value.name: value for value in found.values() if isinstance(value, Effect)}
+    if not theirs:
+        raise BadInputError(f"effect file {path}: defines no Effect; see docs/simulate.md")
+    for effect in theirs.values():
+        if effect.name in EFFECTS:
+            raise BadInputError(f"effect file {path}: {effect.name} is built in; rename yours")
+        _require_law(effect, path)
+    return theirs
+
+
+def find_effect(name: str, source: str | Path = "") -> Effect:
+    """An effect by name: listed, or from the user's file ``source``.
+
+    Raises BadInputError with the names there are.
+    """
+    known = load_effects(source) if source else EFFECTS
+    if name not in known:
+        where = f" in {source}" if source else ""
+        raise BadInputError(f"effect {name!r}: there are{where} {', '.join(known)}")
+    return known[name]
+
+
+def _require_law(effect: Effect, path: str | Path) -> None:
+    """Raises BadInputError for an effect that cannot be flown."""
+    where = f"effect file {path}: {effect.name}"
+    if not callable(effect.law):
+        raise BadInputError(f"{where} has no law")
+    if effect.stage not in get_args(Stage):
+        raise BadInputError(
+            f"{where}: stage {effect.stage!r}; there are {', '.join(get_args(Stage))}"
+        )
+    if effect.states and effect.stage not in ("body", "sensor"):
+        raise BadInputError(f"{where}: only an effect of the body or a sensor may have states")
+    if effect.stage in COMPILED:
+        from groundstation.dynamics.chains import own_address
+
+        own_address(effect.stage, (effect,), (0,))
+
+
+# The numbers that the compiled models fly: one record per craft.
+
 
 ACTS = (*COMPILED, "velocity")
 """Whether any effect acts at a stage, and whether one reads the velocity."""

@@ -1,8 +1,4 @@
-"""What is known of a physical effect: the vocabulary of the files in ``dynamics/effects``.
-
-Each of those files defines one ``EFFECT``: parameters, law, what it needs, where it shows and what
-it is confused with. Everything that flies, fits, searches or describes effects reads it there.
-"""
+"""What is known of a physical effect: the vocabulary of the files in ``dynamics/effects``."""
 
 from __future__ import annotations
 
@@ -10,9 +6,186 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
+
+# What the law of an effect is given and returns, stage by stage.
+#
+# A law is a plain function of numbers and of the named tuples below, in Python that numba compiles:
+# it takes its parameters' values as a tuple in their order and returns tuples; it stores nothing.
+# The stages, in the order in which a flight passes them:
+#
+# | stage | law | returns |
+# |---|---|---|
+# | delay | (values) | how late every measurement is, s |
+# | supply | (values, craft, supply, supply_mv) | voltage behind the report, mV |
+# | motor | (values, motor, slope) | dn/dt of one motor, rev/s^2 |
+# | rotor | (values, craft, body, wrench) | thrust (N) and torque about x, y, z (N m) |
+# | body | (values, craft, body) | ((3,) rad/s^2, (3,) m/s^2), body axes: what it adds |
+# | sensor | (values, craft, body, reading) | a ``Reading`` |
+# | tachometer | (values) | time constant of the sensor behind recorded rotor speeds, s |
+# | attitude | (values) | proportional and integral gain of the attitude filter, 1/s and 1/s^2 |
+#
+# A body or sensor effect that declares states takes them as a last argument, a tuple, and returns
+# one more item: the tuple of their slopes. Where several effects act at a stage each is given what
+# the ones before it left (``Effect.order``).
+
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+
+SPIN: Four = (-1.0, 1.0, -1.0, 1.0)
+"""Sign of each rotor's drag torque about z: M1 and M3 turn counter-clockwise (thesis eq. 3.20)."""
+STATE_SLOTS = 16
+"""States that a user's own effects may have together at a stage."""
+VALUE_SLOTS = 16
+"""Parameters of all own effects of a model together."""
+FAR_M = 1000.0
+"""Height of a craft that no ground touches."""
+
+
+class Craft(NamedTuple):
+    """What is constant in a flight: SI, rotor speed in rev/s.
+
+    thrust: N, drag: N m, per (rev/s)^2 of a rotor. rotor_x, rotor_y: m forward and left. a0, a1,
+    a2: of each motor (thesis eq. 3.82). back_emf_mv: of each, mV per rev/s, its bound a1/a0.
+    """
+
+    mass: float
+    gravity: float
+    inertia: Three
+    thrust: float
+    drag: float
+    rotor_x: Four
+    rotor_y: Four
+    a0: Four
+    a1: Four
+    a2: Four
+    winding_ohm: float
+    back_emf_mv: Four
+
+
+class Supply(NamedTuple):
+    """The reported battery voltage in mV at a row and at the row before, and what it drives."""
+
+    reported: float
+    before: float
+    period_s: float
+    duty: Four
+    rotor: Four
+
+
+class Motor(NamedTuple):
+    """One motor: constants of eq. 3.82, armature voltage in mV, speed in rev/s."""
+
+    a0: float
+    a1: float
+    a2: float
+    armature_mv: float
+    rev_s: float
+
+
+class Body(NamedTuple):
+    """The craft at an instant, in body axes (forward, left, up) unless said otherwise.
+
+    height: m above the ground, ``FAR_M`` where it is not known. quaternion: body to inertial.
+    velocity: m/s over ground. rate: rad/s. rotor: rev/s, rotor_slope: rev/s^2. thrust: N, of all
+    rotors. angular: rad/s^2 and force: m/s^2 (specific force) as far as they are reckoned:
+    at the body stage by the effects before, at the sensor stage completely.
+    """
+
+    height: float
+    quaternion: Four
+    velocity: Three
+    rate: Three
+    rotor: Four
+    rotor_slope: Four
+    thrust: float
+    angular: Three
+    force: Three
+
+
+class Reading(NamedTuple):
+    """What the sensors show: gyro in rad/s, accelerometer in m/s^2, rotor speeds in rev/s."""
+
+    gyro: Three
+    accelerometer: Three
+    rotor: Four
+
+
+def to_inertial(quaternion: Any, vector: Any) -> Three:
+    """A body vector in inertial axes; quaternion (w, x, y, z) body to inertial."""
+    w, x, y, z = quaternion
+    a, b, c = vector
+    return (
+        (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c,
+        2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c,
+        2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c,
+    )
+
+
+def to_body(quaternion: Any, vector: Any) -> Three:
+    """An inertial vector in body axes."""
+    w, x, y, z = quaternion
+    return to_inertial((w, -x, -y, -z), vector)
+
+
+def butterworth_slopes(given: Any, state: Any, corner_hz: float) -> Any:
+    """Slopes of three signals behind a low-pass of second order, and of their slopes.
+
+    given: the signals (3); state: what has passed and its slopes (6).
+    """
+    pace = 2.0 * math.pi * corner_hz
+    stiff, damped = pace * pace, math.sqrt(2.0) * pace
+    x, y, z = given
+    return (
+        state[3],
+        state[4],
+        state[5],
+        stiff * (x - state[0]) - damped * state[3],
+        stiff * (y - state[1]) - damped * state[4],
+        stiff * (z - state[2]) - damped * state[5],
+    )
+
+
+def butterworth_behind(state: Any, corner_hz: float) -> Any:
+    """How far the integrals of three signals behind that low-pass are behind the signals' own:
+    with w'' = (2 pi f)^2 (u - w) - sqrt(2) 2 pi f w', what is missing of u is in w and w'."""
+    pace = 2.0 * math.pi * corner_hz
+    late, later = math.sqrt(2.0) / pace, 1.0 / (pace * pace)
+    return (
+        late * state[0] + later * state[3],
+        late * state[1] + later * state[4],
+        late * state[2] + later * state[5],
+    )
+
+
+def rotor_wrench(craft: Any, rotor: Any) -> tuple[float, float, float, float]:
+    """Thrust (3.13) and torques (3.21 with lever; yaw by drag only) of equal rotors, N and N m.
+
+    rotor: rev/s, four numbers.
+    """
+    n1, n2, n3, n4 = rotor
+    s1, s2, s3, s4 = n1 * n1, n2 * n2, n3 * n3, n4 * n4
+    (x1, x2, x3, x4), (y1, y2, y3, y4) = craft.rotor_x, craft.rotor_y
+    return (
+        craft.thrust * (s1 + s2 + s3 + s4),
+        craft.thrust * (y1 * s1 + y2 * s2 + y3 * s3 + y4 * s4),
+        -craft.thrust * (x1 * s1 + x2 * s2 + x3 * s3 + x4 * s4),
+        craft.drag * (SPIN[0] * s1 + SPIN[1] * s2 + SPIN[2] * s3 + SPIN[3] * s4),
+    )
+
+
+# What is known of a physical effect: the vocabulary of the files in ``dynamics/effects``.
+#
+# Each of those files defines one ``EFFECT``: parameters, law, what it needs, where it shows and
+# what it is confused with. Everything that flies, fits, searches or describes effects reads it
+# there.
+
 
 Stage = Literal["delay", "supply", "motor", "rotor", "body", "sensor", "attitude", "tachometer"]
 Channel = Literal[
@@ -323,3 +496,190 @@ class Effect:
             or values[p.name] == p.absent
             for p in self.parameters
         )
+
+
+# The numbers that fits and the search estimate of an effect, and the way back to its parameters.
+#
+# A point is a dictionary from key to value. Most unknowns are a parameter (``effect.parameter``);
+# a bandwidth is estimated as a time constant; an effect with a choice (which rotor) has one
+# variant for each, whose key is ``effect.1``, ``effect.2`` and so on (with ``.parameter`` where
+# it has several sizes).
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """An unknown: where it stands in a point, and the parameter behind it.
+
+    absent: its value where the effect is not there. low, high: plausible values. worth: a size
+    worth finding. step: of differences. All in the unknown's own unit.
+    """
+
+    key: str
+    effect: Effect
+    parameter: Parameter
+    choice: int | None = None
+
+    @property
+    def unit(self) -> str:
+        one = self.parameter
+        return one.unit if one.unknown is None else one.unknown.unit
+
+    @property
+    def absent(self) -> float:
+        one = self.parameter
+        return one.to_unknown(one.default if one.kind == "shape" else one.absent)
+
+    @property
+    def plausible(self) -> tuple[float, float]:
+        ends = (self.parameter.low, self.parameter.high)
+        low, high = sorted(self.parameter.to_unknown(end) for end in ends)
+        return low, high
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        one = self.parameter
+        if one.unknown is not None:
+            return one.bounds
+        return max(one.bounds[0], one.least), min(one.bounds[1], one.most)
+
+    @property
+    def worth(self) -> float:
+        one = self.parameter
+        if one.worth is not None:
+            return one.worth
+        return abs(one.to_unknown(one.default) - self.absent) or abs(one.default)
+
+    @property
+    def step(self) -> float:
+        return self.parameter.step or 0.01 * max(self.worth, 1e-3 * abs(self.plausible[1]))
+
+
+def variants(effect: Effect) -> tuple[tuple[Key, ...], ...]:
+    """The ways in which an effect may be there, sizes before shapes: one, or one per choice."""
+    choice = effect.choice
+    numbers = [p for p in effect.parameters if p.kind == "size"]
+    numbers += [p for p in effect.parameters if p.kind == "shape"]
+    if choice is None:
+        return (tuple(Key(f"{effect.name}.{_name(p)}", effect, p) for p in numbers),)
+    found = []
+    for which in range(int(choice.low), int(choice.high) + 1):
+        stem = f"{effect.name}.{which}"
+        keys = [stem if len(numbers) == 1 else f"{stem}.{_name(p)}" for p in numbers]
+        found.append(
+            tuple(Key(key, effect, p, which) for key, p in zip(keys, numbers, strict=True))
+        )
+    return tuple(found)
+
+
+def to_point(effect: Effect, given: Mapping[str, float]) -> dict[str, float]:
+    """Parameters as a point; those not given have their default."""
+    values = effect.values(given)
+    which = None if effect.choice is None else int(values[effect.choice.name])
+    keys = next(keys for keys in variants(effect) if keys[0].choice == which)
+    return {one.key: one.parameter.to_unknown(values[one.parameter.name]) for one in keys}
+
+
+def to_values(keys: tuple[Key, ...], point: Mapping[str, float]) -> dict[str, float]:
+    """A variant's parameters at a point, in the effect's order."""
+    effect = keys[0].effect
+    found = {
+        one.parameter.name: one.parameter.from_unknown(point.get(one.key, one.absent))
+        for one in keys
+    }
+    if effect.choice is not None and keys[0].choice is not None:
+        found[effect.choice.name] = float(keys[0].choice)
+    return {p.name: found[p.name] for p in effect.parameters}
+
+
+def to_stderr(
+    keys: tuple[Key, ...], point: Mapping[str, float], errors: Mapping[str, float]
+) -> dict[str, float]:
+    """Standard errors of a variant's parameters from those of its unknowns (first order)."""
+    found = {}
+    for one in keys:
+        error = errors.get(one.key)
+        if error is None:
+            continue
+        if one.parameter.unknown is not None:
+            value = point.get(one.key, one.absent)
+            ends = [one.parameter.from_unknown(value + sign * one.step) for sign in (1.0, -1.0)]
+            error *= abs(ends[0] - ends[1]) / (2.0 * one.step)
+        found[one.parameter.name] = error
+    doubt = keys[0].effect.doubt
+    if doubt is not None:
+        for name, more in doubt(to_values(keys, point)).items():
+            if name in found:
+                found[name] = (found[name] ** 2 + more**2) ** 0.5
+    return found
+
+
+def _name(parameter: Parameter) -> str:
+    return parameter.name if parameter.unknown is None else parameter.unknown.name
+
+
+# Effects of the low-passes that today's firmware runs behind its sensors: what they share.
+#
+# Butterworth's filter of second order (``law.butterworth_slopes``), at 1 kHz on board
+# (``sensors_bmi088_bmp3xx.c``). 0 Hz means no filter.
+
+
+LOOP_S = 1e-3
+"""How often the firmware runs it."""
+
+
+def on_board_filter(
+    name: str,
+    law: Law,
+    channels: tuple[Channel, ...],
+    behind: str,
+    corner: tuple[float, float],
+    longest_s: float,
+    **more: Any,
+) -> Effect:
+    """The effect of a filter behind ``behind`` (in words), which shows in its three ``channels``.
+
+    corner: usual one and lowest, Hz. longest_s: time constant that a fit may reach. more: further
+    fields of the ``Effect``.
+    """
+    usual_hz, lowest_hz = corner
+    return Effect(
+        name=name,
+        stage="sensor",
+        law=law,
+        states=(
+            *(State(f"filtered {axis}", follows=axis) for axis in channels),
+            *(State(f"slope of filtered {axis}") for axis in channels),
+        ),
+        fastest=_fastest,
+        parameters=(
+            Parameter(
+                "corner_hz",
+                "Hz",
+                default=usual_hz,
+                low=lowest_hz,
+                high=250.0,
+                least=0.0,
+                unknown=TIME_CONSTANT,
+                bounds=(0.0, longest_s),
+                step=1e-4,
+            ),
+        ),
+        adds=f"the firmware's low-pass of second order behind the {behind}; 0 Hz means none",
+        signature=f"the {behind} comes late by 1 / (4.4 corner) and shows no faster motion",
+        channels=channels,
+        on_board=f"{name}_hz",
+        **more,
+    )
+
+
+def power_passed(hz: NDArray[np.float64], corner_hz: float) -> NDArray[np.float64]:
+    """Share of a vibration's power that is left behind such a filter as the firmware runs it, by
+    the bilinear transform (Oppenheim and Schafer); corner 0: all of it."""
+    if corner_hz <= 0.0:
+        return np.ones_like(hz)
+    ratio = np.tan(math.pi * hz * LOOP_S) / math.tan(math.pi * corner_hz * LOOP_S)
+    return np.asarray(1.0 / (1.0 + ratio**4), np.float64)
+
+
+def _fastest(values: Mapping[str, float]) -> float:
+    return 2.0 * math.pi * values["corner_hz"]

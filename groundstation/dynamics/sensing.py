@@ -1,4 +1,6 @@
-"""What gyro and accelerometer show of a craft, with the sensors' effects and their states."""
+"""What gyro and accelerometer show of a craft, compiled: rotations, the attitude filter, the
+sensors.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,149 @@ from typing import Any
 import numpy as np
 
 from groundstation.compiled import called, inner, kernel, spliced
-from groundstation.dynamics import quaternion
+from groundstation.dynamics import effect as law
 from groundstation.dynamics.chains import chain, loader, own_chain, reckoned, state_access
 from groundstation.dynamics.craft import LISTED_STATES, SENSOR_STATES, first_state
-from groundstation.dynamics.integrator import runge_kutta
-from groundstation.dynamics.law import FAR_M, Body, Reading, butterworth_behind
-from groundstation.dynamics.rigid_body import ALL, LISTED, SENSOR, craft_of, own_values
+from groundstation.dynamics.effect import FAR_M, Body, Reading, butterworth_behind
+from groundstation.dynamics.kernels import ALL, LISTED, SENSOR, craft_of, own_values, runge_kutta
+
+# Rotations inside kernels: unit quaternions (w, x, y, z), body to inertial, as tuples.
+#
+# For arrays, and for the conventions, see ``rotations.py``; ``to_inertial`` and ``to_body`` are
+# those of ``law.py``.
+
+
+to_inertial = inner(law.to_inertial)
+
+
+@inner
+def conjugate(q: Any) -> Any:
+    """The rotation back."""
+    return q[0], -q[1], -q[2], -q[3]
+
+
+@inner
+def to_body(q: Any, v: Any) -> Any:
+    """An inertial vector in body axes."""
+    return to_inertial((q[0], -q[1], -q[2], -q[3]), v)
+
+
+@inner
+def product(a: Any, b: Any) -> Any:
+    """The rotation b, then a."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@inner
+def normalised(q: Any) -> Any:
+    """The same rotation with length 1."""
+    scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
+
+
+@inner
+def slope(q: Any, rate: Any) -> Any:
+    """dq/dt at body rates in rad/s."""
+    w, x, y, z = q
+    a, b, c = rate
+    return (
+        0.5 * (-x * a - y * b - z * c),
+        0.5 * (w * a + y * c - z * b),
+        0.5 * (w * b + z * a - x * c),
+        0.5 * (w * c + x * b - y * a),
+    )
+
+
+@inner
+def angles(q: Any) -> Any:
+    """Roll, pitch (nose down positive), yaw in rad (thesis eq. 3.6)."""
+    w, x, y, z = q
+    return (
+        math.atan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(min(max(2.0 * (w * y - x * z), -1.0), 1.0)),
+        math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+@inner
+def of_angles(attitude: Any) -> Any:
+    """The quaternion of roll, pitch, yaw in rad."""
+    cr, sr = math.cos(0.5 * attitude[0]), math.sin(0.5 * attitude[0])
+    cp, sp = math.cos(0.5 * attitude[1]), math.sin(0.5 * attitude[1])
+    cy, sy = math.cos(0.5 * attitude[2]), math.sin(0.5 * attitude[2])
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+# The on-board attitude filter: Mahony, Hamel and Pflimlin, 2008, as the Crazyflie firmware has it.
+#
+# A filter is ten numbers: quaternion 0-3, accelerometer as the filter has it 4-6, integral of the
+# error 7-9. Release 2014.01.0 smooths the accelerometer for the filter alone
+# (``imu_acc_lpf.factor`` 32 of 256); today's complementary estimator takes what its sensors' own
+# low-pass leaves (``estimator_complementary.c``).
+
+
+SMOOTHING, SMOOTHING_S = 0.125, 0.002
+"""The accelerometer filter of 2014's firmware: share of each new sample, at this period."""
+UNSMOOTHED = 1.0
+"""Such a share of today's."""
+
+
+@inner
+def smoothed(before: Any, accelerometer: Any, period: float, share: float) -> Any:
+    """The accelerometer as the filter has it, one sample later. share: ``SMOOTHING`` or
+    ``UNSMOOTHED``."""
+    if period != SMOOTHING_S:
+        share = 1.0 - (1.0 - share) ** (period / SMOOTHING_S)
+    return (
+        before[0] + share * (accelerometer[0] - before[0]),
+        before[1] + share * (accelerometer[1] - before[1]),
+        before[2] + share * (accelerometer[2] - before[2]),
+    )
+
+
+@inner
+def fuse(q: Any, integral: Any, gyro: Any, felt: Any, gains: Any, period: float) -> Any:
+    """One pass: (quaternion, integral) from the gyro (rad/s) and what the accelerometer feels.
+
+    gains: proportional (1/s) and integral (1/s^2); a first-order step over ``period``.
+    """
+    w, x, y, z = q
+    ex, ey, ez = 0.0, 0.0, 0.0
+    size = math.sqrt(felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2])
+    if size > 0.0:
+        ax, ay, az = felt[0] / size, felt[1] / size, felt[2] / size
+        # Up in sensor axes as the filter has it, and how far the accelerometer is from it.
+        ux, uy, uz = 2.0 * (x * z - w * y), 2.0 * (w * x + y * z), w * w - x * x - y * y + z * z
+        ex, ey, ez = ay * uz - az * uy, az * ux - ax * uz, ax * uy - ay * ux
+    step = gains[1] * period
+    kept = (integral[0] + step * ex, integral[1] + step * ey, integral[2] + step * ez)
+    rate = (
+        gyro[0] + kept[0] + gains[0] * ex,
+        gyro[1] + kept[1] + gains[0] * ey,
+        gyro[2] + kept[2] + gains[0] * ez,
+    )
+    turn = slope(q, rate)
+    moved = (
+        w + period * turn[0],
+        x + period * turn[1],
+        y + period * turn[2],
+        z + period * turn[3],
+    )
+    return normalised(moved), kept
+
+
+# What gyro and accelerometer show of a craft, with the sensors' effects and their states.
+
 
 sensor_chain, own_sensor = chain("sensor"), own_chain("sensor")
 read_states, write_states = state_access("sensor")
@@ -60,7 +199,7 @@ def estimated(craft: Any, q: Any, z: Any) -> Any:
     the firmware's filter (``sensors_bmi088_bmp3xx.c`` gives the estimator filtered rates), and by
     what effects add."""
     if craft.turning != 0:
-        roll, pitch, yaw = quaternion.angles(q)
+        roll, pitch, yaw = angles(q)
         for i in range(SENSOR_STATES):
             if craft.turns[i] == 0:
                 roll += z[i]
@@ -68,13 +207,13 @@ def estimated(craft: Any, q: Any, z: Any) -> Any:
                 pitch += z[i]
             elif craft.turns[i] == 2:
                 yaw += z[i]
-        q = quaternion.of_angles((roll, pitch, yaw))
+        q = of_angles((roll, pitch, yaw))
     if craft.gyro_filter[0] == 0.0:
         return q
     i = GYRO_FILTER
     state = (z[i], z[i + 1], z[i + 2], z[i + 3], z[i + 4], z[i + 5])
     x, y, w = butterworth_behind(state, craft.gyro_filter[1])
-    return quaternion.normalised(quaternion.product(q, (1.0, -0.5 * x, -0.5 * y, -0.5 * w)))
+    return normalised(product(q, (1.0, -0.5 * x, -0.5 * y, -0.5 * w)))
 
 
 @spliced

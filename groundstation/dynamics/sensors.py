@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED
 from groundstation.dynamics.craft import acting, craft_of_model
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.rotations import attitude_of_matrix, quaternion_of_attitude
+from groundstation.dynamics.sensing import SMOOTHING, UNSMOOTHED
 from groundstation.telemetry.arrays import Array
 
 FILTER = 10

@@ -1,21 +1,124 @@
-"""Fly a craft from armature voltages: one craft, or a batch of them.
-
-Newton-Euler in the body frame (thesis 3.11), attitude as a quaternion, with the state vector of
-``state.py``; inputs are held over each period, as PWM is.
+"""Fly a craft from armature voltages: its state, its motors, and the speeds at which it is in
+balance.
 """
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from groundstation.dynamics.craft import Crafts
-from groundstation.dynamics.state import STATES
+from groundstation.dynamics.effect import FAR_M
+from groundstation.dynamics.rotations import attitude_of_quaternion, quaternion_of_attitude
+from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+# The one state vector of a craft, 17 numbers, and what can be read from it.
+#
+# | slice | quantity | unit |
+# |---|---|---|
+# | POSITION | x east, y north, z up | m |
+# | VELOCITY | the same, inertial frame | m/s |
+# | QUATERNION | w, x, y, z, body to inertial | |
+# | RATE | p, q, r in the body frame | rad/s |
+# | ROTOR | M1..M4 | rev/s |
+
+
+POSITION, VELOCITY, QUATERNION = slice(0, 3), slice(3, 6), slice(6, 10)
+RATE, ROTOR = slice(10, 13), slice(13, 17)
+STATES = 17
+
+
+def craft_state(
+    position_m: ArrayLike = 0.0,
+    velocity_m_s: ArrayLike = 0.0,
+    attitude: ArrayLike = (0.0, 0.0, 0.0),
+    rates: ArrayLike = 0.0,
+    rotor_rev_s: ArrayLike = 0.0,
+) -> Array:
+    """One state, shape (17,), from its parts; ``attitude`` is roll, pitch, yaw in rad."""
+    state = np.zeros(STATES)
+    state[POSITION], state[VELOCITY] = position_m, velocity_m_s
+    state[QUATERNION] = quaternion_of_attitude(attitude)
+    state[RATE], state[ROTOR] = rates, rotor_rev_s
+    return state
+
+
+def attitude_of(states: ArrayLike) -> Array:
+    """Roll, pitch, yaw in rad, (..., 17) to (..., 3)."""
+    return attitude_of_quaternion(np.asarray(states, np.float64)[..., QUATERNION])
+
+
+# The brushed motor with its propeller (thesis 3.15): constants, and speed from voltage.
+
+
+REVOLUTION = 2 * math.pi
+
+
+def armature_mv(duty: ArrayLike, supply_v: ArrayLike) -> Array:
+    """Mean motor voltage in mV of a PWM-driven switch (thesis eq. 3.83-3.84).
+
+    duty: (..., motors) 0..1; supply_v: (...) in V.
+    """
+    supply_mv = 1000.0 * np.asarray(supply_v, np.float64)
+    return np.asarray(duty, np.float64) * supply_mv[..., None]
+
+
+def simulate_motor(
+    motor: MotorConstants | Motors,
+    voltage_mv: ArrayLike,
+    period_s: float,
+    initial_rev_s: ArrayLike | None = None,
+    substeps: int = 2,
+    effects: Mapping[str, Mapping[str, float]] | None = None,
+) -> tuple[Array, Array]:
+    """Rotor speeds driven by voltages that are held over each period (thesis eq. 3.82).
+
+    motor: one for all, or each rotor's. voltage_mv: (k, motors), row i acts from sample i to
+    i + 1. effects: listed ones of the motors by name, with their parameters.
+    initial_rev_s: (motors,), default: at rest at the first voltage's steady speed.
+
+    Returns speeds (k + 1, motors) in rev/s at the samples, and the mean of the squared speed over
+    each period (k, motors) in (rev/s)^2, which is what torques are made of.
+    """
+    from groundstation.dynamics.craft import craft_of_motors
+    from groundstation.dynamics.kernels import run_motors
+
+    voltage = np.ascontiguousarray(voltage_mv, np.float64)
+    if voltage.ndim != 2 or len(voltage) == 0:
+        raise ValueError(f"voltage_mv has shape {voltage.shape}, expected (samples, motors)")
+    if initial_rev_s is None:
+        start = steady_rev_s(motor, voltage[0])
+    else:
+        start = np.broadcast_to(np.asarray(initial_rev_s, np.float64), voltage.shape[1:]).copy()
+    speed = np.empty((len(voltage) + 1, voltage.shape[1]))
+    square = np.empty_like(voltage)
+    craft = craft_of_motors(motor, effects or {})
+    run_motors(craft[0], voltage, np.zeros(0), period_s, substeps, start, speed, square)
+    return speed, square
+
+
+def each_motor(motor: MotorConstants | Motors, count: int = 4) -> tuple[MotorConstants, ...]:
+    """A motor for each of ``count`` rotors, of one for all or of four."""
+    return (motor,) * count if isinstance(motor, MotorConstants) else motor
+
+
+def steady_rev_s(motor: MotorConstants | Motors, armature_mv: Array) -> Array:
+    """Speeds (motors,) at which constant armature voltages (motors,) settle."""
+    motors = each_motor(motor, len(armature_mv))
+    return np.array([one.steady_rev_s(mv) for one, mv in zip(motors, armature_mv, strict=True)])
+
+
+# Fly a craft from armature voltages: one craft, or a batch of them.
+#
+# Newton-Euler in the body frame (thesis 3.11), attitude as a quaternion, with the state vector of
+# ``state.py``; inputs are held over each period, as PWM is.
 
 
 def simulate(
@@ -153,3 +256,48 @@ def _require_shapes(crafts: Crafts, starts: Array, voltage: Array, push: Array) 
     lengths = {len(array) for array in (crafts, starts, voltage, push)} - {1}
     if len(lengths) > 1:
         raise ValueError(f"batch lengths {sorted(lengths)} differ; each must be m or 1")
+
+
+# Steady states: the speed that carries a craft, the duty for it, the speed that a duty gives.
+
+
+HOVER_ROUNDS = 3
+"""Thrust goes with the square of the speed but for what effects add to it: each round leaves less
+than a hundredth of the error."""
+
+
+def hover_rev_s(craft: Crafts) -> float:
+    """Rotor speed that carries the craft far from the ground, all rotors alike."""
+    one = craft[0]
+    speed = float(np.sqrt(one["mass"] * one["gravity"] / one["thrust"] / 4.0))
+    for _ in range(HOVER_ROUNDS):
+        lift = specific_force(craft, craft_state((0.0, 0.0, FAR_M), rotor_rev_s=speed))[2]
+        speed *= float(np.sqrt(one["gravity"] / lift))
+    return speed
+
+
+def hover_duty(craft: Crafts, rotor_rev_s: float, supply_mv: ArrayLike) -> Array:
+    """Duty 0..1 (k,), mean of the rotors, that holds a speed at reported supplies (k,) in mV."""
+    still = np.zeros(4)
+    voltages, place = np.unique(np.asarray(supply_mv, np.float64), return_inverse=True)
+    speed = np.full(4, rotor_rev_s)
+    found = [duties_for(craft, speed, still, float(voltage)).mean() for voltage in voltages]
+    return np.array(found)[place]
+
+
+def duties_for(craft: Crafts, rotor_rev_s: Array, slope: Array, supply_mv: float) -> Array:
+    """Duties (4,), within 0..1, that give rotors at a speed (4,) a slope (4,) in rev/s^2."""
+    from groundstation.dynamics.kernels import duties
+
+    duty = np.empty(4)
+    duties(craft[0], rotor_rev_s, slope, supply_mv, duty)
+    return duty
+
+
+def settled_rev_s(craft: Crafts, duty: Array, supply_mv: float) -> Array:
+    """Rotor speeds (4,) that a constant duty (4,) at a reported voltage settles at."""
+    from groundstation.dynamics.kernels import settle
+
+    speed = np.empty(4)
+    settle(craft[0], duty, supply_mv, speed)
+    return speed

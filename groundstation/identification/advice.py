@@ -8,9 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from groundstation.dynamics.meanings import title_of
+from groundstation.dynamics.meanings import DESIGN, Use, suitability, title_of, verdict
 from groundstation.dynamics.model import Model
-from groundstation.dynamics.suitability import DESIGN, Use, suitability, verdict
 from groundstation.report.page import Advice
 from groundstation.text import listed
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.runs import Run
-from groundstation.prediction.drive import TURNING
-from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of, struck
+from groundstation.prediction.drive import CLEAR_M, TURNING, heights_of, lifting, rise_of, struck
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.samples import spans
 

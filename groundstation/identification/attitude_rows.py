@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.read_between import angles_read_between, half_a_row_later
 from groundstation.identification.runs import Run
-from groundstation.prediction.attitude_rhythm import changed_rows, rhythm_of
+from groundstation.prediction.drive import changed_rows, rhythm_of
 from groundstation.telemetry.arrays import Array
 
 FIRMWARE_GAIN = 0.4

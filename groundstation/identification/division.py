@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.dynamics.mixer import MIXERS
+from groundstation.dynamics.vehicle import MIXERS
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import LEAST_S, Stretch

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import msgspec
 import numpy as np
 
-from groundstation.dynamics.model import EffectTerm, Estimate, Model
-from groundstation.dynamics.origin import with_origin
+from groundstation.dynamics.model import EffectTerm, Estimate, Model, with_origin
 from groundstation.identification.arx.residual_tests import (
     CorrelationTest,
     cross_correlation_test,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.dynamics.mixer import Configuration
-from groundstation.dynamics.motor import armature_mv
+from groundstation.dynamics.simulation import armature_mv
+from groundstation.dynamics.vehicle import Configuration
 from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.rotor_speed import GateReading, speed_from_gate
 from groundstation.identification.runs import Run

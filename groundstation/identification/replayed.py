@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.arx import Turning
-from groundstation.dynamics.model import Model
+from groundstation.dynamics.model import Model, Turning
 from groundstation.dynamics.sensors import shown_rotors
 from groundstation.errors import BadInputError
 from groundstation.identification.arx.flight import with_arx_attitude

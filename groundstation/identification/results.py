@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.dynamics.meanings import is_unusual, profile_constants
 from groundstation.dynamics.model import Model
-from groundstation.dynamics.suitability import is_unusual, profile_constants
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 

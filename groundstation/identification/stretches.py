@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.dynamics.motor import each_motor
+from groundstation.dynamics.simulation import each_motor
 from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import airborne

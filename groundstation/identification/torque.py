@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.dynamics.mixer import MIXERS, Configuration
-from groundstation.dynamics.motor import armature_mv, simulate_motor, steady_rev_s
-from groundstation.dynamics.vehicle import MotorConstants, Motors
+from groundstation.dynamics.simulation import armature_mv, simulate_motor, steady_rev_s
+from groundstation.dynamics.vehicle import MIXERS, Configuration, MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run, require_known
 from groundstation.telemetry.arrays import Array

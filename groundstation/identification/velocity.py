@@ -7,7 +7,7 @@ import numpy as np
 from groundstation.identification.airborne import flights_in
 from groundstation.identification.flight import Flight, quaternion_rows
 from groundstation.identification.runs import Run
-from groundstation.prediction.start_velocity import start_velocity
+from groundstation.prediction.prediction import start_velocity
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound, PossibleEffect
 from groundstation.documents import decode_json, read_document
+from groundstation.dynamics.effect import to_point
 from groundstation.dynamics.registry import EFFECTS
-from groundstation.dynamics.unknowns import to_point
 from groundstation.errors import BadInputError
 from groundstation.identification.likelihood.parameters import KEYS
 

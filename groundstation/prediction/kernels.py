@@ -16,14 +16,19 @@ from typing import Any
 import numpy as np
 
 from groundstation.compiled import called, inner, kernel, spliced
-from groundstation.dynamics import quaternion
-from groundstation.dynamics.attitude_filter import fuse, smoothed
+from groundstation.dynamics import sensing as quaternion
 from groundstation.dynamics.craft import SENSOR_STATES
-from groundstation.dynamics.integrator import runge_kutta
-from groundstation.dynamics.kernels import four, normalise
-from groundstation.dynamics.law import FAR_M, Body, Reading
-from groundstation.dynamics.motor_kernels import armature_of
-from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
+from groundstation.dynamics.effect import FAR_M, Body, Reading
+from groundstation.dynamics.kernels import (
+    ALL,
+    armature_of,
+    body_slope,
+    four,
+    motor_slopes,
+    normalise,
+    physics,
+    runge_kutta,
+)
 from groundstation.dynamics.sensing import (
     ROOM,
     begin,
@@ -31,7 +36,9 @@ from groundstation.dynamics.sensing import (
     estimated,
     feel,
     follow,
+    fuse,
     sense,
+    smoothed,
 )
 from groundstation.dynamics.sensors import FILTER
 

@@ -1,43 +1,204 @@
-"""What a model expects a few rows ahead, from all that was measured until then.
-
-The craft is unstable, so a model is judged over short horizons: an observer keeps the state
-(``observer``), and from any row the model flies on the recorded inputs alone. Every effect of
-the model acts, in the observer and in the prediction. Arrays in, arrays out; rows of the past
-never see those of the future, so a live stream can be fed in pieces.
-"""
+"""What a model expects: a few rows ahead of what was measured, or flown along a reference."""
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.dynamics.craft import SENSOR_STATES, acting
+from groundstation.dynamics.craft import SENSOR_STATES, acting, craft_of_model
 from groundstation.dynamics.model import Model
-from groundstation.dynamics.rotations import quaternion_of_attitude
-from groundstation.dynamics.sensors import FILTER
-from groundstation.dynamics.state import QUATERNION, STATES
+from groundstation.dynamics.rotations import body_rates, quaternion_of_attitude, rotation_matrix
+from groundstation.dynamics.sensors import FILTER, resting_sensors, shown_rotors
+from groundstation.dynamics.simulation import (
+    QUATERNION,
+    RATE,
+    ROTOR,
+    STATES,
+    attitude_of,
+    craft_state,
+    duties_for,
+    hover_rev_s,
+    simulate,
+    with_states,
+)
 from groundstation.errors import BadInputError
-from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.attitude_walk import AHEAD_S, walk_of
 from groundstation.prediction.drive import (
     Drive,
     Flown,
     drive_run,
     flying_rows,
+    fresh_rows,
     height_of,
     reckoned_height,
 )
-from groundstation.prediction.gyro_vibration import vibration_of
 from groundstation.prediction.observer import Gains, Noise, gains_of
-from groundstation.prediction.start_velocity import start_velocity
 from groundstation.telemetry.arrays import Array
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S, STANDARD_GRAVITY
+from groundstation.telemetry.samples import filled
+
+# How fast a craft is where a recording begins in the air.
+#
+# No sensor measures velocity, and its integral needs a beginning. On the ground that is rest. A
+# craft that is recorded from somewhere in its flight on has any velocity, but it stays about where
+# it is: over some seconds its velocity is zero on average, to its travel in that time.
+
+
+LEVEL_S, LEAST_S = 8.0, 2.0
+"""Over so much of a flight the mean is taken: a craft that travels 2 m in it is judged 0.25 m/s
+off, as it is by an accelerometer's offset of 6 mg. Of a shorter flight nothing is said."""
+
+
+def start_velocity(attitude: Array, accelerometer: Array, period_s: float) -> Array:
+    """Inertial velocity (3,) in m/s at the first row of a flight, forward, left, up.
+
+    attitude: (n, 3) rad, accelerometer: (n, 3) m/s^2, both FLU and of the flight alone; rows that
+    lack either are bridged. 0 where either is unknown throughout, or the flight is short.
+    """
+    if len(attitude) * period_s < LEAST_S:
+        return np.zeros(3)
+    rows = round(LEVEL_S / period_s)
+    angles, force = filled(attitude[:rows]), filled(accelerometer[:rows])
+    if not (np.isfinite(angles).all() and np.isfinite(force).all()):
+        return np.zeros(3)
+    acceleration = np.einsum("nij,nj->ni", rotation_matrix(angles), force)
+    acceleration[:, 2] -= STANDARD_GRAVITY
+    gained = np.cumsum(acceleration, axis=0) * period_s
+    return -gained.mean(axis=0)
+
+
+# How far the reported angles wander off the gyro's integral.
+#
+# An estimator that knows positions (motion capture, a deck) corrects its angles by them: these
+# then turn, over tenths of a second, as no rate does, and what follows the gyro alone is left
+# behind. The size is read off a flight without a model: a filter that turns by the gyro and is
+# corrected by the angles is tried for several walks.
+
+
+Mask = NDArray[np.bool_]
+Walk = tuple[float, float, float]
+
+NONE: Walk = (0.0, 0.0, 0.0)
+WALKS = (0.0, *(2.5e-4 * 2**k for k in range(9)))
+"""rad in a second; from what adds to a gyro's own noise in still air to one at which nothing but
+the newest angles counts."""
+AHEAD_S = 0.02
+WORTH = 0.9
+"""A walk counts where the squared error ``AHEAD_S`` ahead falls below this share: it is no constant
+that has to be known to a per cent."""
+LEAST_ROWS = 200
+LONGEST = 3
+"""New angles so many times their usual distance apart: over a longer gap nobody knows the turn."""
+
+
+def walk_of(
+    attitude: Array, gyro: Array, used: Mask, period_s: float, *, angle: float, rate: float
+) -> Walk:
+    """About the body's axes, rad in a second (its square root for other times).
+
+    attitude: (n, 3) rad, NaN where it is not new; gyro: (n, 3) rad/s. used: (n,) rows in the air.
+    angle (rad) and rate (rad/s): white noise of a sample of either. A constant difference of rates
+    is no walk: that is the gyro's bias.
+    """
+    rows = np.flatnonzero(used & np.isfinite(attitude).all(axis=1))
+    if len(rows) < LEAST_ROWS:
+        return NONE
+    spacing = np.diff(rows)
+    every = int(np.median(spacing))
+    off = _off(attitude[rows], gyro, rows, period_s)
+    told = np.isfinite(off).all(axis=1) & (spacing <= LONGEST * every)
+    ahead = max(round(AHEAD_S / (every * period_s)), 1)
+    judged = told[ahead:]
+    if np.count_nonzero(judged) < LEAST_ROWS:
+        return NONE
+    places = np.cumsum(np.where(told[:, None], off - off[told].mean(axis=0), 0.0), axis=0)
+    seconds = every * period_s
+    own = rate**2 * period_s * seconds
+    gains = [_gain(own + walk**2 * seconds, angle**2) for walk in WALKS]
+    errors = np.array([_squared_error(places, gain, ahead, judged) for gain in gains])
+    worth = errors.min(axis=0) < WORTH * errors[0]
+    x, y, z = np.where(worth, np.array(WALKS)[errors.argmin(axis=0)], 0.0).tolist()
+    return x, y, z
+
+
+def _off(angles: Array, gyro: Array, rows: NDArray[np.int64], period_s: float) -> Array:
+    """What the angles (m + 1, 3) turned from each of ``rows`` to the next less what the gyro did,
+    (m, 3) rad about the body's axes."""
+    turned = np.angle(np.exp(1j * np.diff(angles, axis=0)))
+    rates = filled(gyro)
+    steps = 0.5 * (rates[1:] + rates[:-1]) * period_s
+    whole = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return body_rates(angles[:-1] + 0.5 * turned, turned) - np.diff(whole[rows], axis=0)
+
+
+def _gain(process: float, measured: float) -> float:
+    """Of a Kalman filter of a random walk, variances per row of the walk and of a measurement."""
+    ratio = process / measured
+    return 0.5 * (math.sqrt(ratio**2 + 4.0 * ratio) - ratio)
+
+
+def _squared_error(places: Array, gain: float, ahead: int, judged: Mask) -> Array:
+    """Mean squared error (3,) of a filter's estimate of places (m, 3) some rows ahead."""
+    from scipy.signal import lfilter
+
+    followed = lfilter([gain], [1.0, gain - 1.0], places, axis=0)
+    error = places[ahead:] - followed[:-ahead]
+    return (error[judged] ** 2).mean(axis=0)
+
+
+# How much the rotors shake the gyro, which is noise to any model of rigid flight.
+#
+# Motors settle within 30 to 90 ms, so torque does next to nothing above 50 Hz, and what a gyro
+# shows there is vibration: 0.2 to 1.3 deg/s on real crafts, where the sensor's own noise is 0.1.
+# An observer that takes it for motion spoils every prediction from there. Read off a flight
+# without a model.
+
+
+FROM_HZ = 50.0
+ORDER = 4
+BLOCK_S = 1.0
+"""The median over blocks counts: a landing shakes for a moment."""
+LEAST_BLOCKS = 3
+
+
+def vibration_of(gyro: Array, used: Mask, period_s: float) -> tuple[float, float, float]:
+    """RMS about the body's axes above ``FROM_HZ``, rad/s.
+
+    gyro: (n, 3) rad/s, rows that were lost NaN. used: (n,) rows in the air. 0 where rows are too
+    slow to show it, or fewer than three blocks are in the air; little where they are hardly faster
+    than 100 a second, for what they fold below ``FROM_HZ`` is not told from motion.
+    """
+    from scipy.signal import butter, sosfilt
+
+    nothing = (0.0, 0.0, 0.0)
+    known = used & np.isfinite(gyro).all(axis=1)
+    rows = np.flatnonzero(known)
+    size = round(BLOCK_S / period_s)
+    if 2.0 * FROM_HZ * period_s >= 1.0 or len(rows) < LEAST_BLOCKS * size:
+        return nothing
+    sections = butter(ORDER, 2.0 * FROM_HZ * period_s, "high", output="sos")
+    fast = sosfilt(sections, filled(gyro), axis=0)[rows]
+    whole = len(rows) // size * size
+    power = np.square(fast[:whole]).reshape(-1, size, 3).mean(axis=1)
+    x, y, z = np.sqrt(np.median(power, axis=0)).tolist()
+    return x, y, z
+
+
+# What a model expects a few rows ahead, from all that was measured until then.
+#
+# The craft is unstable, so a model is judged over short horizons: an observer keeps the state
+# (``observer``), and from any row the model flies on the recorded inputs alone. Every effect of
+# the model acts, in the observer and in the prediction. Arrays in, arrays out; rows of the past
+# never see those of the future, so a live stream can be fed in pieces.
+
 
 Rows = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+
 
 JUDGED = 4
 """Every so manyth row tells which of two observers suits a run."""
@@ -343,3 +504,279 @@ def airborne(seen: Observed, rows_ahead: int) -> Rows:
     first = np.maximum(rows - settle, 0)
     full = flown[rows + rows_ahead + 1] - flown[first] == rows + rows_ahead + 1 - first
     return np.asarray(rows[full & (rows >= settle)], np.int64)
+
+
+# Reference programmes: what a simulated craft is asked to do, angles over time.
+#
+# Built in are ``hover``, ``step``, ``doublet`` and ``sine``, each on roll, pitch and yaw in turn;
+# any other is a CSV file with the columns ``time_s``, ``roll_deg``, ``pitch_deg``, ``yaw_deg`` and,
+# if wanted, ``height_m``, linear between its rows.
+
+
+SIZE_RAD, REST_S, HOLD_S = np.radians(10.0), 1.0, 0.5
+SINE_HZ, SINE_PERIODS = 1.0, 3
+HEIGHT_M = 1.0
+BUILT_IN = ("hover", "step", "doublet", "sine")
+LONGEST_S, STEEPEST_RAD = 600.0, np.radians(60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """attitude: (n, 3) rad roll, pitch (nose down), yaw; height_m: (n,); rows 2 ms apart."""
+
+    name: str
+    attitude: Array
+    height_m: Array
+
+    def __len__(self) -> int:
+        return len(self.attitude)
+
+
+def load_reference(source: str | Path) -> Reference:
+    """A built-in programme by name, or a CSV file by path.
+
+    Raises BadInputError, naming the built-in ones or the row that is wrong.
+    """
+    if str(source) in BUILT_IN:
+        attitude = _built_in(str(source))
+        return Reference(str(source), attitude, np.full(len(attitude), HEIGHT_M))
+    path = Path(source)
+    if not path.is_file():
+        raise BadInputError(
+            f"reference {str(source)!r}: neither built in ({', '.join(BUILT_IN)}) nor a file"
+        )
+    table, found = read_rows(path, ("height_m",))
+    has_height = "height_m" in found
+    time = table[:, 0] - table[0, 0]
+    grid = np.arange(0.0, time[-1], SAMPLE_PERIOD_S)
+    columns = [np.interp(grid, time, table[:, i]) for i in range(1, table.shape[1])]
+    attitude = np.radians(np.column_stack(columns[:3]))
+    if np.abs(attitude[:, :2]).max() > STEEPEST_RAD:
+        raise BadInputError(
+            f"reference {path}: a tilt of {np.degrees(np.abs(attitude[:, :2]).max()):.0f} deg;"
+            f" at most {np.degrees(STEEPEST_RAD):.0f} can be flown"
+        )
+    height = columns[3] if has_height else np.full(len(grid), HEIGHT_M)
+    return Reference(path.stem, attitude, height)
+
+
+def _built_in(name: str) -> Array:
+    rest = np.zeros(round(REST_S / SAMPLE_PERIOD_S))
+    hold = np.ones(round(HOLD_S / SAMPLE_PERIOD_S))
+    time = np.arange(0.0, SINE_PERIODS / SINE_HZ, SAMPLE_PERIOD_S)
+    shapes = {
+        "hover": 0.0 * hold,
+        "step": hold,
+        "doublet": np.concatenate([hold, -hold]),
+        "sine": np.sin(2 * np.pi * SINE_HZ * time),
+    }
+    piece = np.concatenate([rest, SIZE_RAD * shapes[name], rest])
+    attitude = np.zeros((3 * len(piece), 3))
+    for axis in range(3):
+        attitude[axis * len(piece) : (axis + 1) * len(piece), axis] = piece
+    return attitude
+
+
+def read_rows(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
+    """The rows of a CSV file (n, 4 + those of ``wanted`` that it has), time and angles first, and
+    the names of its columns, in that order.
+
+    Raises BadInputError naming what is missing, or the row that is wrong.
+    """
+    needed = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            names = reader.fieldnames or []
+            missing = [name for name in needed if name not in names]
+            if missing:
+                raise BadInputError(
+                    f"reference {path}: no column {', '.join(missing)}; needed are"
+                    f" {', '.join(needed)}, and {', '.join(wanted)} if wanted"
+                )
+            chosen = [*needed, *(name for name in wanted if name in names)]
+            rows = []
+            for number, row in enumerate(reader, 2):
+                try:
+                    rows.append([float(row[name]) for name in chosen])
+                except (TypeError, ValueError) as error:
+                    raise BadInputError(f"reference {path}, line {number}: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"reference {path}: cannot be read: {error}") from error
+    table = np.array(rows)
+    if len(rows) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) < 0).any():
+        raise BadInputError(
+            f"reference {path}: needs two rows or more of finite numbers, time_s ascending"
+        )
+    if not 0.1 <= table[-1, 0] - table[0, 0] <= LONGEST_S:
+        raise BadInputError(f"reference {path}: must last 0.1..{LONGEST_S:.0f} s")
+    return table, chosen
+
+
+# A model flown along a reference by a simple controller, with everything it would report.
+#
+# The controller knows the true state: angle and height loops ask for accelerations, the mixer's
+# constants turn these into rotor speeds, and each motor is driven to its speed in ``MOTOR_S``. It
+# is there to keep an unstable craft in the air, not to be a model of a firmware: for closed loops
+# with delay and real controllers see ``groundstation.control`` and the stand-in. What is reported
+# is then made from the same inputs by the model with all its effects, sensors included.
+
+
+ANGLE_RAD_S, ANGLE_DAMPING, ANGLE_INTEGRAL = 7.0, 0.9, 40.0
+HEIGHT_RAD_S, HEIGHT_DAMPING = 3.0, 1.0
+MOTOR_S = 0.025
+PIECE_ROWS = 50
+LOST_RAD = 1.4
+"""A tilt from which the controller does not come back."""
+
+
+@dataclass(frozen=True, slots=True)
+class MadeRun:
+    """A simulated flight with the channels of a run: rows 2 ms apart.
+
+    duty: (n, 4); supply_v: (n,) as reported; gyro (n, 3) rad/s, accelerometer (n, 3) m/s^2 and
+    attitude (n, 3) rad as reported, without noise; rotor_rev_s: (n, 4) behind each row; states:
+    (n, 17), the true ones at each row; reference: (n, 3) rad.
+    """
+
+    period_s: float
+    duty: Array
+    supply_v: Array
+    gyro: Array
+    accelerometer: Array
+    attitude: Array
+    rotor_rev_s: Array
+    states: Array
+    reference: Array
+
+    @property
+    def settings(self) -> Array:
+        """The duty: rows are as fast as the motors are set."""
+        return self.duty
+
+
+def fly_reference(model: Model, reference: Reference, supply_v: float = 3.7) -> MadeRun:
+    """Fly a model along a reference, from a hover, at a steady supply voltage.
+
+    Raises BadInputError where the model cannot hover at that voltage, or falls.
+    """
+    duty, states = _closed_loop(model, reference, supply_v)
+    n = len(duty)
+    volts = np.full(n, supply_v)
+    nothing = np.zeros((n, 3))
+    run = MadeRun(SAMPLE_PERIOD_S, duty, volts, nothing, nothing, nothing, nothing, states, nothing)
+    made = replace(_report(drive_run(model, run), run), reference=reference.attitude[:n])
+    return replace(made, rotor_rev_s=shown_rotors(model, made.rotor_rev_s, made.period_s))
+
+
+def _closed_loop(model: Model, reference: Reference, supply_v: float) -> tuple[Array, Array]:
+    """Duty (n, 4), row i acting before sample i, and true states (n, 17 + those of effects)."""
+    craft = craft_of_model(model)
+    one = craft[0]
+    supply = 1000.0 * supply_v
+    # Rotor speeds from wanted accelerations: the inverse of mixer and constants.
+    mixing = np.vstack(
+        [
+            one["rotor_y"] * one["thrust"] / one["inertia"][0],
+            -one["rotor_x"] * one["thrust"] / one["inertia"][1],
+            np.array([-1.0, 1.0, -1.0, 1.0]) * one["drag"] / one["inertia"][2],
+            np.full(4, one["thrust"] / one["mass"]),
+        ]
+    )
+    inverse = np.linalg.inv(mixing)
+    hover = hover_rev_s(craft)
+    state = craft_state(
+        position_m=(0.0, 0.0, reference.height_m[0]),
+        attitude=(0.0, 0.0, reference.attitude[0, 2]),
+        rotor_rev_s=hover,
+    )
+    state = with_states(craft, state[None], made=True)[0]
+    n = len(reference)
+    duty, states = np.empty((n, 4)), np.empty((n, len(state)))
+    duty[0] = duties_for(craft, state[ROTOR], np.zeros(4), supply)
+    if duty[0].max() > 0.95:
+        raise BadInputError(
+            f"model for {model.vehicle}: to hover at {supply_v:g} V takes"
+            f" {100 * duty[0].max():.0f} % of full duty; give more voltage"
+        )
+    states[0] = state
+    integral = np.zeros(3)
+    for row in range(1, n):
+        attitude = attitude_of(state)
+        if np.abs(attitude[:2]).max() > LOST_RAD or not np.isfinite(state).all():
+            raise BadInputError(
+                f"reference {reference.name}: the craft falls after {row * SAMPLE_PERIOD_S:.2f} s;"
+                " ask for less tilt, or look at the model's effects"
+            )
+        error = reference.attitude[row] - attitude
+        error[2] = np.angle(np.exp(1j * error[2]))
+        integral = np.clip(integral + error * SAMPLE_PERIOD_S, -0.5, 0.5)
+        turn = ANGLE_RAD_S**2 * error + ANGLE_INTEGRAL * integral
+        turn -= 2.0 * ANGLE_DAMPING * ANGLE_RAD_S * state[RATE]
+        climb = HEIGHT_RAD_S**2 * (reference.height_m[row] - state[2])
+        climb -= 2.0 * HEIGHT_DAMPING * HEIGHT_RAD_S * state[5]
+        lift = (STANDARD_GRAVITY + np.clip(climb, -4.0, 4.0)) / (
+            np.cos(attitude[0]) * np.cos(attitude[1])
+        )
+        wanted = np.sqrt(np.maximum(inverse @ [*turn, lift], (0.3 * hover) ** 2))
+        speed = state[ROTOR]
+        duty[row] = duties_for(craft, speed, (wanted - speed) / MOTOR_S, supply)
+        (_, state) = simulate(
+            craft, state, duty[row : row + 1] * supply, supply_mv=np.array([supply])
+        )
+        states[row] = state
+    return duty, states
+
+
+def _report(drive: Drive, run: MadeRun) -> MadeRun:
+    """The channels that the model's sensors show of a flight whose true states are known.
+
+    Flown again in short pieces from true states: an open loop would magnify rounding errors.
+    """
+    from groundstation.prediction.kernels import coast
+
+    n = len(run.duty)
+    late = np.maximum(np.arange(n) * run.period_s - float(drive.sensor[0]["delay"]), 0.0)
+    states = _between(run.states, late / run.period_s)
+    sensed, report = resting_sensors(drive.craft[0])[None], states[:1, QUATERNION].copy()
+    leaning = np.zeros((1, FILTER))
+    leaning[0, :4], leaning[0, 6] = report[0], STANDARD_GRAVITY
+    shown = np.empty((n, 9))
+    fresh = np.arange(n) % 2 == 0
+    for row in range(0, n - 1, PIECE_ROWS):
+        ahead = np.arange(1, min(PIECE_ROWS, n - 1 - row) + 1)
+        measured = np.empty((1, len(ahead), 9))
+        coast(
+            drive.craft[0],
+            drive.sensor[0],
+            drive.speed,
+            run.period_s,
+            fresh,
+            np.array([row]),
+            ahead,
+            states[row : row + 1].copy(),
+            sensed,
+            leaning,
+            report,
+            measured,
+        )
+        shown[row + 1 : row + 1 + len(ahead)] = measured[0]
+    shown[0] = shown[1]
+    gyro, accelerometer, attitude = (shown[:, i : i + 3].copy() for i in (0, 3, 6))
+    return replace(
+        run,
+        gyro=gyro,
+        accelerometer=accelerometer,
+        attitude=np.unwrap(attitude, axis=0),
+        rotor_rev_s=drive.rotor_rev_s,
+    )
+
+
+def _between(states: Array, at: Array) -> Array:
+    """States between rows, by Hermite's cubic over central differences."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    grid = np.arange(len(states))
+    found = np.asarray(CubicHermiteSpline(grid, states, np.gradient(states, axis=0))(at))
+    found[:, QUATERNION] /= np.linalg.norm(found[:, QUATERNION], axis=1)[:, None]
+    return found

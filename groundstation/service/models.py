@@ -9,10 +9,15 @@ from typing import Any, Literal
 
 import msgspec
 
-from groundstation.dynamics.arx import of_rates
 from groundstation.dynamics.meanings import arx_meaning, meaning_of
-from groundstation.dynamics.model import BodyConstants, Model, load_model
-from groundstation.dynamics.origin import origin_notes, origin_of
+from groundstation.dynamics.model import (
+    BodyConstants,
+    Model,
+    load_model,
+    of_rates,
+    origin_notes,
+    origin_of,
+)
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.jobs import Job

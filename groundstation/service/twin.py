@@ -150,8 +150,7 @@ class TwinService:
 
     def _load(self, path: str) -> None:
         from groundstation.dynamics.craft import craft_of_model
-        from groundstation.dynamics.model import require_body
-        from groundstation.dynamics.origin import require_fitted_body
+        from groundstation.dynamics.model import require_body, require_fitted_body
 
         model = load_model(path)
         require_body(model)

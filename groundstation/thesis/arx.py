@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.dynamics.arx import arx_ahead
-from groundstation.dynamics.model import ArxAxis, model_vehicle, rotor_motors
+from groundstation.dynamics.model import ArxAxis, arx_ahead, model_vehicle, rotor_motors
 from groundstation.identification.arx.data import ArxData, arx_data
 from groundstation.identification.arx.fit import (
     WINDOW_S,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from groundstation.dynamics.model import model_vehicle, rotor_motors
-from groundstation.dynamics.motor import armature_mv
+from groundstation.dynamics.simulation import armature_mv
 from groundstation.identification.fit_record import liveliest
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch, stretches_of

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from groundstation.dynamics.model import THESIS
-from groundstation.dynamics.motor import armature_mv
+from groundstation.dynamics.simulation import armature_mv
 from groundstation.identification.airborne import turning_parts
 from groundstation.identification.motor.fit import bench_run, simulate_run
 from groundstation.identification.motor.rotor_speed import speed_from_gate

@@ -18,8 +18,7 @@ from groundstation.comparison.gap import HORIZONS_S
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
-from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.drive import LANDED, TURNING, Drive, drive_run
+from groundstation.prediction.drive import LANDED, TURNING, Drive, drive_run, fresh_rows
 from groundstation.prediction.observer import Gains, Noise, gains_of, integrating_force
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, noise_of, observe_part
 from groundstation.telemetry.arrays import Array

@@ -15,13 +15,12 @@ from functools import cached_property
 import numpy as np
 
 from groundstation.comparison.channels import CHANNELS
-from groundstation.dynamics.law import SPIN
-from groundstation.dynamics.mixer import MIXERS, Configuration
+from groundstation.dynamics.effect import SPIN
 from groundstation.dynamics.model import Model
-from groundstation.dynamics.motor import REVOLUTION
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.rotations import matrix_of_quaternion
-from groundstation.dynamics.state import QUATERNION, RATE, VELOCITY
+from groundstation.dynamics.simulation import QUATERNION, RATE, REVOLUTION, VELOCITY
+from groundstation.dynamics.vehicle import MIXERS, Configuration
 from groundstation.prediction.prediction import Observed
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY

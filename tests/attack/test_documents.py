@@ -10,11 +10,11 @@ from firmware_sim.programme import load_programme
 from firmware_sim.settings import load_settings
 from groundstation.control.gains_file import load_gains
 from groundstation.documents import DEPTH_MOST, decode_json, decode_toml
+from groundstation.dynamics.craft import load_effects
 from groundstation.dynamics.model import load_model
-from groundstation.dynamics.own_effects import load_effects
-from groundstation.dynamics.reference import load_reference
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import RecordingError
+from groundstation.prediction.prediction import load_reference
 from groundstation.recording.map_document import load_column_map
 from groundstation.recording.mcap_schemas import decode_entry
 from groundstation.service.config import load_config

@@ -5,10 +5,8 @@ import json
 import msgspec
 import pytest
 
-from groundstation.dynamics.craft import craft_of_model
+from groundstation.dynamics.craft import CONSENT, consent, craft_of_model, load_effects
 from groundstation.dynamics.model import THESIS, load_model
-from groundstation.dynamics.own_effects import load_effects
-from groundstation.dynamics.trust import CONSENT, consent
 from groundstation.errors import BadInputError
 from groundstation.service.config import Config, TwinConfig
 from groundstation.service.station import Station

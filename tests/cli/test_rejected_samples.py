@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
+from groundstation.dynamics.meanings import suitability
 from groundstation.dynamics.model import load_model
-from groundstation.dynamics.suitability import suitability
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_table_csv
 from groundstation.recording.session import Recording

@@ -10,7 +10,7 @@ from groundstation.comparison.gap import (
     overall,
     pooled_rms,
 )
-from groundstation.prediction.attitude_rhythm import fresh_rows
+from groundstation.prediction.drive import fresh_rows
 from support.flights import BASE, MEDIUM, hidden, judged
 from support.flights import compared as flights
 

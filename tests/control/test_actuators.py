@@ -9,7 +9,7 @@ from groundstation.control.actuators import most_control, reason_not_followed
 from groundstation.control.pid import PidGains
 from groundstation.control.thesis_loop import counts_per_control, motors_and_body
 from groundstation.dynamics.model import load_model
-from groundstation.dynamics.motor import steady_rev_s
+from groundstation.dynamics.simulation import steady_rev_s
 
 MODEL = load_model(Path(__file__).parent / "data" / "body.json")
 

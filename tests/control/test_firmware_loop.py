@@ -24,13 +24,7 @@ from groundstation.control.plant import plant_of_model
 from groundstation.control.programme import Programme
 from groundstation.control.report import flight_lines
 from groundstation.control.step_analysis import analyse
-from groundstation.dynamics.model import (
-    THESIS,
-    EffectTerm,
-    Estimate,
-    load_model,
-    vehicle_model,
-)
+from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, load_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from support import ROOT

@@ -7,9 +7,8 @@ from groundstation.control.linear_loop import axis_plant, run_direct
 from groundstation.control.pid import PidGains
 from groundstation.control.plant import plant_of_model
 from groundstation.control.thesis_loop import counts_per_control, run_whole, whole_loop
-from groundstation.dynamics.arx import simulate_arx
-from groundstation.dynamics.model import THESIS, Model
-from groundstation.dynamics.motor import simulate_motor
+from groundstation.dynamics.model import THESIS, Model, simulate_arx
+from groundstation.dynamics.simulation import simulate_motor
 from groundstation.errors import BadInputError
 from support.equations import distribute, mix, output_stage
 

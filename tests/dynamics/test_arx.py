@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.dynamics.arx import arx_ahead, poles, simulate_arx
-from groundstation.dynamics.model import THESIS, ArxAxis
+from groundstation.dynamics.model import THESIS, ArxAxis, arx_ahead, poles, simulate_arx
 
 
 def written_out(axis, inputs, past):

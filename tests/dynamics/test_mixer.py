@@ -4,8 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.dynamics.mixer import MIXERS
-from groundstation.dynamics.vehicle import BUILT_IN, rotor_positions_m
+from groundstation.dynamics.vehicle import BUILT_IN, MIXERS, rotor_positions_m
 from support.equations import distribute, mix, output_stage, thrust_and_torque
 
 PLUS = BUILT_IN["crazyflie1"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from groundstation.dynamics.motor import armature_mv, simulate_motor
+from groundstation.dynamics.simulation import armature_mv, simulate_motor
 from groundstation.dynamics.vehicle import THESIS_MOTOR, MotorConstants
 
 

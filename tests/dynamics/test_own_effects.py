@@ -4,11 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.dynamics.craft import craft_of_model
+from groundstation.dynamics.craft import craft_of_model, load_effects
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
-from groundstation.dynamics.own_effects import load_effects
-from groundstation.dynamics.simulation import accelerations, simulate, specific_force
-from groundstation.dynamics.state import craft_state
+from groundstation.dynamics.simulation import accelerations, craft_state, simulate, specific_force
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import runs_of
 from groundstation.prediction.prediction import predict_ahead

@@ -6,7 +6,7 @@ import pytest
 from scipy import signal
 
 from groundstation.dynamics.craft import craft_of_vehicle
-from groundstation.dynamics.law import Supply
+from groundstation.dynamics.effect import Supply
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.dynamics.sensing import gyro_step

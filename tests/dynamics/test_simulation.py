@@ -6,8 +6,7 @@ import pytest
 from groundstation.dynamics.craft import craft_of_model, craft_of_vehicle
 from groundstation.dynamics.model import THESIS, vehicle_model
 from groundstation.dynamics.rotations import matrix_of_quaternion
-from groundstation.dynamics.simulation import simulate, simulate_batch, specific_force
-from groundstation.dynamics.state import (
+from groundstation.dynamics.simulation import (
     POSITION,
     QUATERNION,
     RATE,
@@ -15,6 +14,9 @@ from groundstation.dynamics.state import (
     VELOCITY,
     attitude_of,
     craft_state,
+    simulate,
+    simulate_batch,
+    specific_force,
 )
 from groundstation.dynamics.vehicle import BUILT_IN
 from support.equations import lagrange_flown as flown

@@ -11,12 +11,10 @@ import pytest
 import sympy as sp
 from scipy.signal import lfilter
 
-from groundstation.dynamics.arx import poles
 from groundstation.dynamics.craft import craft_of_vehicle
-from groundstation.dynamics.model import THESIS, ArxAxis
+from groundstation.dynamics.model import THESIS, ArxAxis, poles
 from groundstation.dynamics.rotations import rotation_matrix
-from groundstation.dynamics.simulation import simulate
-from groundstation.dynamics.state import RATE, craft_state
+from groundstation.dynamics.simulation import RATE, craft_state, simulate
 from groundstation.dynamics.vehicle import BUILT_IN
 
 T = sp.Symbol("t")

@@ -12,13 +12,7 @@ from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.hide import HIDEABLE, main
 from firmware_sim.present import present_effects
 from firmware_sim.settings import load_settings
-from groundstation.dynamics.model import (
-    EffectTerm,
-    Estimate,
-    load_model,
-    save_model,
-    vehicle_model,
-)
+from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.runs import runs_of

@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from groundstation.prediction.attitude_rhythm import (
-    changed_rows,
-    fresh_rhythm,
-    fresh_rows,
-    rhythm_of,
-)
+from groundstation.prediction.drive import changed_rows, fresh_rhythm, fresh_rows, rhythm_of
 
 ROWS = 400
 

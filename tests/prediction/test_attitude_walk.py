@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.prediction.attitude_walk import NONE
 from groundstation.prediction.prediction import (
+    NONE,
     observe_as_it_is,
     observe_run,
     own_noise,

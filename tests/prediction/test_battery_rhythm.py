@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.model import EffectTerm, Estimate
-from groundstation.prediction.battery_rhythm import between_readings, held, reading_rhythm
-from groundstation.prediction.drive import drive_run
+from groundstation.prediction.drive import between_readings, drive_run, held, reading_rhythm
 from support.flights import BASE, flown
 
 ROWS = 4000

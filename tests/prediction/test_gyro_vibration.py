@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.prediction.gyro_vibration import vibration_of
 from groundstation.prediction.observer import Noise
 from groundstation.prediction.prediction import (
     observe_as_it_is,
     observe_run,
     own_noise,
     predict_observed,
+    vibration_of,
 )
 from support.flights import BASE, affected, flown
 

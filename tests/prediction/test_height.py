@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.prediction.height import heights_of, rise_of
+from groundstation.prediction.drive import heights_of, rise_of
 from groundstation.telemetry.samples import spans
 from support.flights import recorded
 

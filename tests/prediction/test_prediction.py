@@ -6,13 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.dynamics.law import FAR_M
+from groundstation.dynamics.effect import FAR_M
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import CHANNELS as CHANNELS_OF_RUNS
-from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.drive import height_of, reckoned_height
+from groundstation.prediction.drive import fresh_rows, height_of, reckoned_height
 from groundstation.prediction.observer import Noise, gains_of
 from groundstation.prediction.prediction import (
     airborne,

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from groundstation.dynamics.reference import BUILT_IN, load_reference
-from groundstation.dynamics.state import RATE, attitude_of
+from groundstation.dynamics.simulation import RATE, attitude_of
 from groundstation.errors import BadInputError
-from groundstation.prediction.reference_flight import fly_reference
+from groundstation.prediction.prediction import BUILT_IN, fly_reference, load_reference
 from support.flights import BASE, MEDIUM, affected
 
 HEAD = "time_s,roll_deg,pitch_deg,yaw_deg"

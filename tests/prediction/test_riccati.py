@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from groundstation.prediction.riccati import Row, settled
+from groundstation.prediction.observer import Row, settled
 
 A = np.array([[1.0, 0.02, 0.0], [0.0, 0.95, 0.02], [0.0, 0.0, 1.0]])
 PROCESS = np.array([1e-9, 1e-4, 1e-6])

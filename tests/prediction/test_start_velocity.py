@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.rotations import rotation_matrix
-from groundstation.prediction.prediction import observe_run
-from groundstation.prediction.start_velocity import start_velocity
+from groundstation.prediction.prediction import observe_run, start_velocity
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from support.flights import BASE, flown
 

@@ -8,10 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from groundstation.dynamics.mixer import MIXERS, PWM_FULL, Configuration
 from groundstation.dynamics.rotations import body_rates, euler_rates, rotation_matrix
-from groundstation.dynamics.state import RATE, ROTOR, attitude_of
-from groundstation.dynamics.vehicle import Vehicle, rotor_positions_m
+from groundstation.dynamics.simulation import RATE, ROTOR, attitude_of
+from groundstation.dynamics.vehicle import (
+    MIXERS,
+    PWM_FULL,
+    Configuration,
+    Vehicle,
+    rotor_positions_m,
+)
 
 SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
 

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import FORCE, STEADY, TRANSLATE, Confusion, Effect, Parameter
-from groundstation.dynamics.law import Reading
+from groundstation.dynamics.effect import (
+    FORCE,
+    STEADY,
+    TRANSLATE,
+    Confusion,
+    Effect,
+    Parameter,
+    Reading,
+)
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 

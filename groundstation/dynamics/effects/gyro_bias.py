@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from groundstation.dynamics.effect import ANGLES, STEADY, Confusion, Effect, Parameter
-from groundstation.dynamics.law import Reading
+from groundstation.dynamics.effect import ANGLES, STEADY, Confusion, Effect, Parameter, Reading
 
 
 def law(values: Any, craft: Any, body: Any, reading: Any) -> Any:

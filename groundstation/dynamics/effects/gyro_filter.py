@@ -16,9 +16,10 @@ from groundstation.dynamics.effect import (
     TILTING,
     YAWING,
     Confusion,
+    Reading,
+    butterworth_slopes,
+    on_board_filter,
 )
-from groundstation.dynamics.law import Reading, butterworth_slopes
-from groundstation.dynamics.on_board_filter import on_board_filter
 
 
 def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:

@@ -21,9 +21,9 @@ from groundstation.dynamics.effect import (
     Confusion,
     Effect,
     Parameter,
+    Reading,
     State,
 )
-from groundstation.dynamics.law import Reading
 
 WIDEST_S = 0.98e-3
 """Delay of the chip's widest setting, 256 Hz (data sheet, register 26)."""

@@ -16,8 +16,8 @@ from groundstation.dynamics.effect import (
     Confusion,
     Effect,
     Parameter,
+    Reading,
 )
-from groundstation.dynamics.law import Reading
 
 
 def law(values: Any, craft: Any, body: Any, reading: Any) -> Any:

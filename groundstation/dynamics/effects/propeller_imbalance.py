@@ -12,8 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from groundstation.dynamics.effect import GYRO, STEADY, Effect, Parameter, State
-from groundstation.dynamics.law import SPIN
+from groundstation.dynamics.effect import GYRO, SPIN, STEADY, Effect, Parameter, State
 
 
 def law(values: Any, craft: Any, body: Any, state: Any) -> Any:

@@ -9,14 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    DOUBLETS,
-    YAW_STEPS,
-    YAWING,
-    Confusion,
-    Effect,
-    Parameter,
-)
+from groundstation.dynamics.effect import DOUBLETS, YAW_STEPS, YAWING, Confusion, Effect, Parameter
 
 
 def law(values: Any, craft: Any, body: Any) -> Any:

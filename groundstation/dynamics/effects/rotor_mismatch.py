@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import GYRO, STEADY, THRUST, Confusion, Effect, Parameter
-from groundstation.dynamics.law import SPIN
+from groundstation.dynamics.effect import GYRO, SPIN, STEADY, THRUST, Confusion, Effect, Parameter
 
 
 def law(values: Any, craft: Any, body: Any, wrench: Any) -> Any:

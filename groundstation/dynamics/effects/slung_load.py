@@ -28,8 +28,9 @@ from groundstation.dynamics.effect import (
     Effect,
     Parameter,
     State,
+    to_body,
+    to_inertial,
 )
-from groundstation.dynamics.law import to_body, to_inertial
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 DRAG_PER_S = 10.0

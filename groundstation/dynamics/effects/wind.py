@@ -10,14 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    FORCE,
-    GYRO,
-    STEADY,
-    Effect,
-    Parameter,
-    State,
-)
+from groundstation.dynamics.effect import FORCE, GYRO, STEADY, Effect, Parameter, State
 
 
 def law(values: Any, craft: Any, body: Any, state: Any) -> Any:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.mixer import Configuration
-from groundstation.dynamics.vehicle import MotorConstants, Motors
+from groundstation.dynamics.vehicle import Configuration, MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import inverse
 from groundstation.identification.runs import Run

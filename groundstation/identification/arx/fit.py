@@ -15,8 +15,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.arx import simulate_arx
-from groundstation.dynamics.model import ArxAxis
+from groundstation.dynamics.model import ArxAxis, simulate_arx
 from groundstation.errors import BadInputError
 from groundstation.identification.arx.data import ArxData, require_usable
 from groundstation.identification.arx.residual_tests import cross_correlation_test

@@ -11,8 +11,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.arx import SLOPE_ROWS, arx_ahead, of_rates
-from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
+from groundstation.dynamics.model import (
+    SLOPE_ROWS,
+    Model,
+    arx_ahead,
+    model_vehicle,
+    of_rates,
+    rotor_motors,
+)
 from groundstation.dynamics.rotations import body_rates, euler_rates
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from groundstation.dynamics.effect import to_stderr, to_values
 from groundstation.dynamics.model import BodyConstants
 from groundstation.dynamics.registry import DELAY
-from groundstation.dynamics.unknowns import to_stderr, to_values
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import (

@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.dynamics.effect import CANDIDATES, GYRO, Role
+from groundstation.dynamics.effect import CANDIDATES, GYRO, Key, Role, variants
 from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP
-from groundstation.dynamics.unknowns import Key, variants
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.attitude_rows import Gaps, attitude_rows

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from groundstation.dynamics.unknowns import Key
+from groundstation.dynamics.effect import Key
 from groundstation.identification.likelihood.evaluation import (
     Array,
     Bodies,

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from groundstation.dynamics.effect import Stage
-from groundstation.dynamics.law import SPIN, Craft
+from groundstation.dynamics.effect import SPIN, Craft, Stage
 from groundstation.identification.attitude_rows import FIRMWARE_GAIN
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.frame import Frame

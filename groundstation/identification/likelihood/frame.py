@@ -11,9 +11,8 @@ import msgspec
 import numpy as np
 
 from groundstation.dynamics.craft import craft_of_model
-from groundstation.dynamics.law import Craft
+from groundstation.dynamics.effect import Craft, Key
 from groundstation.dynamics.model import BodyConstants, Model, vehicle_model, with_motor
-from groundstation.dynamics.unknowns import Key
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle
 from groundstation.identification.likelihood.laws import Acting, acting
 from groundstation.identification.likelihood.parameters import (

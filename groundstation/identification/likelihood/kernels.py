@@ -13,9 +13,9 @@ import numpy as np
 
 from groundstation.compiled import kernel, spliced
 from groundstation.dynamics.chains import call_law
-from groundstation.dynamics.integrator import runge_kutta
-from groundstation.dynamics.law import STATE_SLOTS
-from groundstation.dynamics.quaternion import to_body, to_inertial
+from groundstation.dynamics.effect import STATE_SLOTS
+from groundstation.dynamics.kernels import runge_kutta
+from groundstation.dynamics.sensing import to_body, to_inertial
 
 
 @spliced

@@ -12,9 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.dynamics.effect import Effect, Stage
-from groundstation.dynamics.law import VALUE_SLOTS, Body, Craft, Reading
-from groundstation.dynamics.unknowns import Key, to_values
+from groundstation.dynamics.effect import (
+    VALUE_SLOTS,
+    Body,
+    Craft,
+    Effect,
+    Key,
+    Reading,
+    Stage,
+    to_values,
+)
 from groundstation.telemetry.arrays import Array
 
 STEPS_PER_RADIAN = 2.0

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
+from groundstation.dynamics.effect import FAR_M, Body, Craft, rotor_wrench
 from groundstation.identification.flight import Flight, quaternion_rows
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.rotors import Rotors

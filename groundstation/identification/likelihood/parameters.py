@@ -10,7 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from groundstation.dynamics.effect import Effect, Parameter, Unknown
+from groundstation.dynamics.craft import find_effect, load_effects
+from groundstation.dynamics.effect import (
+    Effect,
+    Key,
+    Parameter,
+    Unknown,
+    to_point,
+    to_stderr,
+    to_values,
+    variants,
+)
 from groundstation.dynamics.model import (
     BodyConstants,
     EffectTerm,
@@ -19,9 +29,7 @@ from groundstation.dynamics.model import (
     require_body,
     with_motor,
 )
-from groundstation.dynamics.own_effects import find_effect, load_effects
 from groundstation.dynamics.registry import EFFECTS
-from groundstation.dynamics.unknowns import Key, to_point, to_stderr, to_values, variants
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.dynamics.effect import CANDIDATES
+from groundstation.dynamics.effect import CANDIDATES, Key
 from groundstation.dynamics.model import Model, model_vehicle
-from groundstation.dynamics.unknowns import Key
 from groundstation.identification.estimate import as_met, bounded_step, inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ACCELEROMETER

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.dynamics.craft import add_effects
-from groundstation.dynamics.law import Craft, Supply
+from groundstation.dynamics.effect import Craft, Supply
 from groundstation.dynamics.model import rotor_motors
-from groundstation.dynamics.motor import steady_rev_s
+from groundstation.dynamics.simulation import steady_rev_s
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.laws import Acting, in_order
@@ -69,7 +69,7 @@ def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
 
 def _run(run: Run, settings: Array, record: np.void, supply: Array, start: Array) -> Rotors:
     """settings: (m, 4); supply: (m,) mV under each."""
-    from groundstation.dynamics.motor_kernels import run_motors
+    from groundstation.dynamics.kernels import run_motors
 
     each = len(settings) // len(run)
     behind = supply[each:]

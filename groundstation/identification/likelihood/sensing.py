@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effect import ANGLES, Role
-from groundstation.dynamics.law import FAR_M, Body, Craft, Reading
+from groundstation.dynamics.effect import ANGLES, FAR_M, Body, Craft, Reading, Role
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.linear_filters import (
     FORCES,

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.motor import armature_mv
 from groundstation.dynamics.registry import EFFECTS as CATALOGUE
+from groundstation.dynamics.simulation import armature_mv
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import Estimates, fit_percent, rms, sandwich

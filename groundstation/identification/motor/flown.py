@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from groundstation.dynamics.model import Model
-from groundstation.dynamics.motor import armature_mv, simulate_motor
+from groundstation.dynamics.simulation import armature_mv, simulate_motor
 from groundstation.dynamics.vehicle import MotorConstants, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.fit_record import (

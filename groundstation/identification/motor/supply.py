@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import EffectTerm, Estimate
-from groundstation.dynamics.motor import each_motor, simulate_motor
+from groundstation.dynamics.simulation import each_motor, simulate_motor
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle
 from groundstation.identification.estimate import inverse, rms, sandwich
 from groundstation.identification.motor.fit import MotorFit, bench_run, fit_motor
 from groundstation.identification.runs import Run, require_known
-from groundstation.prediction.battery_rhythm import held, reading_rhythm
+from groundstation.prediction.drive import held, reading_rhythm
 from groundstation.telemetry.arrays import Array
 
 LAGS_S = np.concatenate([[0.0], np.geomspace(0.02, 0.5, 24)])

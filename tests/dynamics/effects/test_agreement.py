@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, VELOCITY
+from groundstation.dynamics.simulation import POSITION, QUATERNION, RATE, ROTOR, VELOCITY
 from groundstation.prediction.prediction import fly_ahead, observe_run
 from support.flights import MEDIUM, affected, flown
 

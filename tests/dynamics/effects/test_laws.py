@@ -6,7 +6,7 @@ Rotors 1 and 3 turn counter-clockwise seen from above, so that their angular mom
 import numpy as np
 import pytest
 
-from groundstation.dynamics.law import FAR_M, Body, Craft, Reading, rotor_wrench
+from groundstation.dynamics.effect import FAR_M, Body, Craft, Reading, rotor_wrench
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import BUILT_IN, rotor_positions_m
 

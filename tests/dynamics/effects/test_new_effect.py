@@ -7,11 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.dynamics.craft import craft_of_model
+from groundstation.dynamics.craft import craft_of_model, load_effects
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
-from groundstation.dynamics.own_effects import load_effects
-from groundstation.dynamics.simulation import accelerations, simulate
-from groundstation.dynamics.state import RATE, craft_state
+from groundstation.dynamics.simulation import RATE, accelerations, craft_state, simulate
 from support.flights import BASE
 from support.programs import run_program
 
@@ -95,7 +93,7 @@ effects.__path__.append({folder!r})
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model
 from groundstation.dynamics.simulation import accelerations, simulate
-from groundstation.dynamics.state import craft_state
+from groundstation.dynamics.simulation import craft_state
 from msgspec.structs import replace
 
 own = load_model({model!r})

@@ -13,8 +13,15 @@ from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import quaternion_of_attitude
-from groundstation.dynamics.simulation import accelerations, simulate
-from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, VELOCITY
+from groundstation.dynamics.simulation import (
+    POSITION,
+    QUATERNION,
+    RATE,
+    ROTOR,
+    VELOCITY,
+    accelerations,
+    simulate,
+)
 from groundstation.prediction.drive import drive_run
 from groundstation.prediction.prediction import fly_ahead, observe_run
 from support.flights import BASE

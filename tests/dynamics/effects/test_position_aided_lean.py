@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.dynamics.law import FAR_M, Body, Reading
+from groundstation.dynamics.effect import FAR_M, Body, Reading
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.identification.flight import prepare

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from firmware_sim.layout import PHASE
-from groundstation.dynamics.law import FAR_M, Body
-from groundstation.dynamics.reference import load_reference
+from groundstation.dynamics.effect import FAR_M, Body
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import load_vehicle, rotor_positions_m
-from groundstation.prediction.reference_flight import fly_reference
+from groundstation.prediction.prediction import fly_reference, load_reference
 from support.flights import affected
 from support.plant import plant, slopes
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.layout import LOAD
-from groundstation.dynamics.law import FAR_M, Body
+from groundstation.dynamics.effect import FAR_M, Body
 from groundstation.dynamics.registry import EFFECTS
 from support.plant import plant, rotation, slopes
 

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from groundstation.dynamics.effect import to_point, to_stderr, to_values, variants
 from groundstation.dynamics.registry import EFFECTS
-from groundstation.dynamics.unknowns import to_point, to_stderr, to_values, variants
 
 EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=lambda effect: effect.name)
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.dynamics.arx import simulate_arx
-from groundstation.dynamics.model import THESIS, ArxAxis, vehicle_model
+from groundstation.dynamics.model import THESIS, ArxAxis, simulate_arx, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import turning_parts

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from groundstation.dynamics.effect import Effect, Parameter, State
-from groundstation.dynamics.law import Body, Reading
+from groundstation.dynamics.effect import Body, Effect, Parameter, Reading, State
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import BUILT_IN

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model, with_motor
-from groundstation.dynamics.motor import armature_mv, simulate_motor, steady_rev_s
+from groundstation.dynamics.simulation import armature_mv, simulate_motor, steady_rev_s
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.frame import Frame

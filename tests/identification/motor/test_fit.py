@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from groundstation.dynamics.motor import simulate_motor
+from groundstation.dynamics.simulation import simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.motor.fit import (

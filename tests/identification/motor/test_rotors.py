@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
-from groundstation.dynamics.motor import armature_mv, simulate_motor
 from groundstation.dynamics.sensors import lagged
+from groundstation.dynamics.simulation import armature_mv, simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.motor.flown import rotor_runs
