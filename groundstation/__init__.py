@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 __version__ = "1.0.0"
 
 if TYPE_CHECKING:
-    from groundstation.attitude.axis_check import check_axes as check_axes
-    from groundstation.attitude.filters import complementary as complementary
-    from groundstation.attitude.filters import kalman as kalman
-    from groundstation.attitude.sensors import rest_bias as rest_bias
+    from groundstation.attitude.fusion import check_axes as check_axes
+    from groundstation.attitude.fusion import complementary as complementary
+    from groundstation.attitude.fusion import kalman as kalman
+    from groundstation.attitude.fusion import rest_bias as rest_bias
     from groundstation.comparison.comparison import compare as compare
     from groundstation.control.evaluate import evaluate as evaluate
     from groundstation.control.firmware_design import cascade_limits as cascade_limits
@@ -75,9 +75,9 @@ PUBLIC = {
     "SampleBatch": "telemetry.samples.SampleBatch",
     "Vehicle": "dynamics.vehicle.Vehicle",
     "cascade_limits": "control.firmware_design.cascade_limits",
-    "check_axes": "attitude.axis_check.check_axes",
+    "check_axes": "attitude.fusion.check_axes",
     "compare": "comparison.comparison.compare",
-    "complementary": "attitude.filters.complementary",
+    "complementary": "attitude.fusion.complementary",
     "decode_all": "telemetry.decoder.decode_all",
     "design_cascade": "control.firmware_design.design_cascade",
     "evaluate": "control.evaluate.evaluate",
@@ -89,7 +89,7 @@ PUBLIC = {
     "fly_reference": "prediction.prediction.fly_reference",
     "gains_text": "control.gains_file.gains_text",
     "hold_out": "identification.division.hold_out",
-    "kalman": "attitude.filters.kalman",
+    "kalman": "attitude.fusion.kalman",
     "live": "service.client.live",
     "load_gains": "control.gains_file.load_gains",
     "load_model": "dynamics.model.load_model",
@@ -98,7 +98,7 @@ PUBLIC = {
     "open_recording": "recording.open_recording.open_recording",
     "parse_selection": "identification.segments.parse_selection",
     "predict_ahead": "prediction.prediction.predict_ahead",
-    "rest_bias": "attitude.sensors.rest_bias",
+    "rest_bias": "attitude.fusion.rest_bias",
     "robustness": "control.firmware_design.robustness",
     "runs_of": "identification.runs.runs_of",
     "save_model": "dynamics.model.save_model",

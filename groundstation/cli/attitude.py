@@ -22,7 +22,7 @@ from groundstation.cli.model_files import (
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
-    from groundstation.attitude.filters import KalmanNoise
+    from groundstation.attitude.fusion import KalmanNoise
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -68,7 +68,7 @@ def attitude(
         head = "time_s," + ",".join(f"{n}_{a}_deg" for n in drawn for a in axes_names)
         write_table(output, head, np.column_stack([fused.time_s, *drawn.values()]))
     if html is not None:
-        from groundstation.attitude.fusion_report import fusion_page
+        from groundstation.attitude.fusion import fusion_page
 
         fusion_page(fused, recording.name).write(html)
     bias, used = fused.rest_bias, fused.noise
@@ -98,7 +98,7 @@ def _show_moved(moved: dict[str, list[float]]) -> None:
 
 
 def _noise(text: str) -> KalmanNoise:
-    from groundstation.attitude.filters import KalmanNoise
+    from groundstation.attitude.fusion import KalmanNoise
 
     try:
         angle, bias, accelerometer = (float(part) for part in text.split(","))
@@ -131,7 +131,7 @@ def axes(
     check = check_axes(samples)
     apart = contradictions(samples)
     if html is not None:
-        from groundstation.attitude.axis_report import axis_page
+        from groundstation.attitude.fusion import axis_page
 
         axis_page(samples, check, apart, recording.name).write(html)
     report = {

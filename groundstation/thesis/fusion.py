@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from groundstation.attitude.axis_check import check_axes
-from groundstation.attitude.axis_report import axis_figure
-from groundstation.attitude.fusion import fuse
-from groundstation.attitude.fusion_report import angles_figure
+from groundstation.attitude.fusion import angles_figure, axis_figure, check_axes, fuse
 from groundstation.telemetry.arrays import AXES
 from groundstation.thesis.entry import Entry, Made, Table
 from groundstation.thesis.workshop import Workshop

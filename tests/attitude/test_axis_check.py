@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.attitude.axis_check import check_axes
+from groundstation.attitude.fusion import check_axes
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES
 from support.flights import recorded

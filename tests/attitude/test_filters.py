@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from groundstation.attitude.filters import KalmanNoise, complementary, kalman
-from groundstation.attitude.sensors import (
+from groundstation.attitude.fusion import (
+    KalmanNoise,
     accelerometer_attitude,
+    complementary,
     integrate_gyroscope,
+    kalman,
     rest_bias,
 )
 from groundstation.dynamics.rotations import attitude_of_quaternion

@@ -6,11 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from groundstation.attitude.sensors import (
-    accelerometer_attitude,
-    integrate_gyroscope,
-    rest_bias,
-)
+from groundstation.attitude.fusion import accelerometer_attitude, integrate_gyroscope, rest_bias
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
