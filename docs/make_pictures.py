@@ -36,7 +36,7 @@ from groundstation import (
 )
 from groundstation.discrepancy.report_figures import waterfall, where_map
 from groundstation.recording.rrd import write_rrd
-from groundstation.report.figure import png
+from groundstation.report.page import png
 from groundstation.viewer.ports import free_port
 
 IMAGES = Path(__file__).parent / "images"

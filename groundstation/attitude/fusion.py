@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from groundstation.errors import BadInputError
-from groundstation.report.figure import figure, legend_above, thinned
-from groundstation.report.page import Page
-from groundstation.report.theme import MEASURED, SERIES
+from groundstation.report.page import MEASURED, SERIES, Page, figure, legend_above, thinned
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch

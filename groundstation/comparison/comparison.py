@@ -29,7 +29,7 @@ from groundstation.comparison.rotor_drive import driven_by_speeds
 from groundstation.dynamics.model import Model, Turning, model_vehicle, require_body
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
-from groundstation.report.result import Result
+from groundstation.report.page import Result
 from groundstation.telemetry.arrays import Array
 
 

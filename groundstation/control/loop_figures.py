@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.control.margins import LoopResponse
-from groundstation.report.figure import figure
-from groundstation.report.page import Page
-from groundstation.report.theme import BAD, NEUTRAL, SERIES
+from groundstation.report.page import BAD, NEUTRAL, SERIES, Page, figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,9 +12,7 @@ from groundstation.control.evaluate import AxisResult
 from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.metrics import StepMetrics
 from groundstation.control.step_analysis import Flown, FlownAxis
-from groundstation.report.figure import HEAT, figure
-from groundstation.report.page import Page
-from groundstation.report.theme import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL
+from groundstation.report.page import BAD, HEAT, IMPROVED, MEASURED, MODELLED, NEUTRAL, Page, figure
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 if TYPE_CHECKING:

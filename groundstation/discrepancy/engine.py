@@ -56,7 +56,7 @@ from groundstation.identification.likelihood.parameters import (
 from groundstation.identification.likelihood.prior import Prior, body_prior
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.identification.runs import Run
-from groundstation.report.result import Result
+from groundstation.report.page import Result
 from groundstation.telemetry.arrays import AXES
 
 Progress = Callable[[str, float], None]

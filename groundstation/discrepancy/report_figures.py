@@ -13,9 +13,9 @@ from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.comparison.localisation import Place, Spectrum, Stretch, over_time
 from groundstation.dynamics.meanings import title_of
-from groundstation.report.figure import HEAT, figure, legend_above
-from groundstation.report.theme import (
+from groundstation.report.page import (
     GOOD,
+    HEAT,
     IMPROVED,
     INK,
     MEASURED,
@@ -26,6 +26,8 @@ from groundstation.report.theme import (
     ON_BRIGHT,
     ON_DARK,
     PAPER,
+    figure,
+    legend_above,
 )
 from groundstation.telemetry.arrays import Array
 

@@ -17,7 +17,7 @@ from groundstation.discrepancy.report_figures import (
 )
 from groundstation.discrepancy.report_words import meaning
 from groundstation.dynamics.meanings import title_of
-from groundstation.report.result import Shown
+from groundstation.report.page import Shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

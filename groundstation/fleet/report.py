@@ -27,9 +27,7 @@ from groundstation.fleet.report_sections import (
     add_shifts,
     add_to_fly,
 )
-from groundstation.report.figure import figure, legend_above
-from groundstation.report.page import Page
-from groundstation.report.theme import BAD, MEASURED, MODELLED, NEUTRAL
+from groundstation.report.page import BAD, MEASURED, MODELLED, NEUTRAL, Page, figure, legend_above
 from groundstation.text import counted
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from groundstation.identification.arx.residual_tests import (
     whiteness_test,
 )
 from groundstation.identification.estimate import Estimates
-from groundstation.report.result import Result
+from groundstation.report.page import Result
 from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:

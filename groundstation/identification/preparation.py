@@ -14,7 +14,7 @@ from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.rotor_speed import GateReading, speed_from_gate
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
-from groundstation.report.channels import against, lines, points
+from groundstation.report.page import against, lines, points
 from groundstation.telemetry.arrays import AXES, Array
 
 if TYPE_CHECKING:

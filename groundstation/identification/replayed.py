@@ -15,7 +15,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.runs import Run, require_known
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
-from groundstation.report.result import Result
+from groundstation.report.page import Result
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 

@@ -14,9 +14,7 @@ from groundstation.identification.arx.residual_tests import CorrelationTest
 from groundstation.identification.estimate import Estimates
 from groundstation.identification.fit_record import Evidence, ResidualTest, Step, Trace
 from groundstation.identification.segments import EVERYTHING
-from groundstation.report.figure import figure, legend_above
-from groundstation.report.page import Cell, Page
-from groundstation.report.theme import (
+from groundstation.report.page import (
     BAD,
     BAND,
     GOOD,
@@ -26,6 +24,10 @@ from groundstation.report.theme import (
     ON_BRIGHT,
     ON_DARK,
     SERIES,
+    Cell,
+    Page,
+    figure,
+    legend_above,
 )
 
 if TYPE_CHECKING:

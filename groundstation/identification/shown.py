@@ -11,9 +11,7 @@ from groundstation.identification.advice import good_for
 from groundstation.identification.fit_record import Identified
 from groundstation.identification.replayed import CHANNELS, Replayed, channels_of
 from groundstation.identification.report import certainty, residual, steps, trace
-from groundstation.report.figure import figure, thinned
-from groundstation.report.result import Shown
-from groundstation.report.theme import MEASURED, MODELLED
+from groundstation.report.page import MEASURED, MODELLED, Shown, figure, thinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,9 +16,7 @@ from groundstation.learn.gains import mean_missed
 from groundstation.learn.journal import JOURNAL
 from groundstation.learn.outcome import Outcome, said_named
 from groundstation.learn.story import BODY_MODEL, GAINS
-from groundstation.report.figure import figure
-from groundstation.report.page import Page
-from groundstation.report.theme import FAINT, IMPROVED, MEASURED, MODELLED
+from groundstation.report.page import FAINT, IMPROVED, MEASURED, MODELLED, Page, figure
 from groundstation.shell import LOG, SCRIPT
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.text import listed

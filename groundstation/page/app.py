@@ -33,7 +33,7 @@ from groundstation.page.alarms import alarms
 from groundstation.page.follower import Follower
 from groundstation.page.help import help_route
 from groundstation.page.opening import UnknownColumnsError, add, add_example, channels, examples
-from groundstation.report.theme import THEME
+from groundstation.report.page import THEME
 from groundstation.service.client import Pilot, ask
 from groundstation.text import printable
 

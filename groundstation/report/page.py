@@ -1,26 +1,295 @@
-"""A report as one HTML file that needs nothing else: no network, no scripts, printable.
-
-Figures are enlarged by style sheets alone, so that a report can be shown where nothing may run.
-"""
+"""A report as one HTML file that needs nothing else: its look, its figures, its page."""
 
 from __future__ import annotations
 
+import io
+import platform
 import re
-from collections.abc import Iterable, Iterator, Sequence
+import shlex
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from html import escape
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+from groundstation import __version__
 from groundstation.errors import BadInputError
 from groundstation.paths import taken
-from groundstation.report.figure import svg
-from groundstation.report.provenance import provenance
-from groundstation.report.theme import style, themed
 from groundstation.text import counted, printable
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+# The one look of reports and of the operator's page: colours by their use, light and dark.
+#
+# ``static/theme.css`` has those of a document. A figure is drawn in the light ones; in a page each
+# becomes a variable, which has another value in the dark.
+
+
+STATIC = Path(__file__).with_name("static")
+THEME = STATIC / "theme.css"
+
+INK, PAPER = "#1b2129", "#fefefe"
+"""Text and axes; what lies behind text that must cover lines."""
+BAND, FAINT, MISSING, GRID = "#e4e6ea", "#c3c9d1", "#eeeeee", "#dddddd"
+"""Where values belong; lines that are only context; cells without a value; grid lines."""
+NOTE = "#4d5763"
+"""Text of less weight."""
+MEASURED, MODELLED, IMPROVED = "#333333", "#d55e00", "#0072b2"
+"""What was measured, what the first model says, what the better one says."""
+GOOD, BAD, NEUTRAL = "#009e73", "#cc3311", "#8a8f98"
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#333333")
+"""Okabe and Ito's palette, for lines that have no meaning of their own."""
+ON_DARK, ON_BRIGHT = "#ffffff", "#0b0e12"
+"""Text on a cell of a heat map, which looks alike in both themes."""
+
+_BLACK = "#000000"
+"""What matplotlib draws in where nobody chose."""
+IN_THE_DARK = {
+    INK: "#e8ecf1",
+    _BLACK: "#e8ecf1",
+    PAPER: "#1a2028",
+    BAND: "#333d48",
+    FAINT: "#4d5865",
+    MISSING: "#2a323b",
+    GRID: "#343d47",
+    NOTE: "#aeb8c4",
+    MEASURED: "#dfe4ea",
+    MODELLED: "#ff9142",
+    IMPROVED: "#5eb2f2",
+    GOOD: "#3ccb9f",
+    BAD: "#ff7d66",
+    NEUTRAL: "#8f98a3",
+    "#cc79a7": "#e8a0c8",
+    "#e69f00": "#f2b632",
+    "#56b4e9": "#8fd0f7",
+}
+_COLOR = re.compile(r"(?<=: )#[0-9a-f]{6}(?=[;\"])")
+
+
+def style() -> str:
+    """The style sheet of a report."""
+    sheets = [path.read_text() for path in (THEME, STATIC / "report.css")]
+    values = "".join(f"{_variable(light)}:{dark};" for light, dark in IN_THE_DARK.items())
+    dark = f"@media screen and (prefers-color-scheme: dark) {{ :root {{ {values} }} }}\n"
+    return dark.join(sheets)
+
+
+def themed(svg: str) -> str:
+    """A figure's colours as variables, whose fallback is the light one."""
+
+    def variable(found: re.Match[str]) -> str:
+        color = found[0]
+        return f"var({_variable(color)},{color})" if color in IN_THE_DARK else color
+
+    return _COLOR.sub(variable, svg)
+
+
+def _variable(color: str) -> str:
+    return f"--f{color[1:]}"
+
+
+# Figures in the project's one style: readable at a look, in colours that all eyes tell apart.
+#
+# matplotlib is imported when the first figure is made. No display and no global state: figures
+# are made from the object interface and drawn as SVG.
+
+
+HEAT = "cividis"
+"""Colour map for sizes; ``coolwarm`` where a sign matters."""
+
+_STYLE = {
+    "font.size": 10.0,
+    "font.family": "DejaVu Sans",
+    "axes.titlesize": 11.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": GRID,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.facecolor": "none",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "groundstation",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.4,
+}
+MOST_POINTS = 2500
+
+
+def figure(
+    width: float = 9.0, height: float = 3.2, rows: int = 1, columns: int = 1, **layout: Any
+) -> tuple[Figure, list[Axes]]:
+    """A figure and its axes, row by row. width, height: inches; the height is the whole figure's.
+
+    layout: what ``Figure.subplots`` takes (sharex, width_ratios ...).
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        made = Figure(figsize=(width, height), layout="constrained")
+        axes = made.subplots(rows, columns, squeeze=False, **layout)
+    return made, [one for row in axes for one in row]
+
+
+def legend_above(axes: Axes, **more: Any) -> None:
+    """A legend over the panel, to the right: what lies in it may be a peak."""
+    names = axes.get_legend_handles_labels()[1]
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=len(names), **more
+    )
+
+
+def svg(made: Figure) -> str:
+    """The figure as an ``<svg>`` element that scales with the page; same input, same text."""
+    import matplotlib
+
+    _finish(made)
+    out = io.StringIO()
+    with matplotlib.rc_context(_STYLE):
+        made.savefig(out, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
+    text = out.getvalue()
+    return text[text.index("<svg") :].strip()
+
+
+def png(made: Figure, dots_per_inch: int = 110) -> bytes:
+    """The figure as a picture, for pages that cannot show SVG."""
+    import matplotlib
+
+    _finish(made)
+    out = io.BytesIO()
+    with matplotlib.rc_context(_STYLE):
+        made.savefig(out, format="png", dpi=dots_per_inch, metadata={"Software": None})
+    return out.getvalue()
+
+
+def _finish(made: Figure) -> None:
+    """Legends let what lies behind them shine through. Names of files are no formulas and hold
+    no controls; only ticks have formulas, when drawn."""
+    from matplotlib.legend import Legend
+    from matplotlib.text import Text
+
+    for legend in made.findobj(Legend):
+        assert isinstance(legend, Legend)
+        legend.get_frame().set(facecolor=PAPER, edgecolor="none", alpha=0.75)
+    for text in made.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_text("\n".join(map(printable, text.get_text().split("\n"))))
+        if "$" in text.get_text():
+            text.set_parse_math(False)
+
+
+def thinned(*columns: Sequence[float] | NDArray[Any], most: int = MOST_POINTS) -> tuple[Any, ...]:
+    """Columns of one length with every k-th row, so that a drawing stays small.
+
+    For lines that are smooth at the drawn scale; an envelope is the caller's business.
+    """
+    import numpy as np
+
+    step = max(1, -(-len(columns[0]) // most))
+    return tuple(np.asarray(column)[::step] for column in columns)
+
+
+# Channels over time: lines, single readings, one channel against another.
+
+
+HEIGHT = 2.7
+
+
+def lines(time_s: NDArray[Any], channels: Mapping[str, NDArray[Any]], label: str) -> Figure:
+    """Channels (n,) by name over time, in one panel."""
+    made, (axes,) = figure(height=HEIGHT)
+    for color, (name, values) in zip(SERIES, channels.items(), strict=False):
+        axes.plot(*thinned(time_s, values), color=color, label=name)
+    axes.set_ylabel(label)
+    axes.set_xlabel("time, s")
+    if len(channels) > 1:
+        legend_above(axes)
+    return made
+
+
+def points(time_s: NDArray[Any], channels: Mapping[str, NDArray[Any]], label: str) -> Figure:
+    """Readings (n,) that come singly, by name."""
+    made, (axes,) = figure(height=HEIGHT)
+    for color, (name, values) in zip((MEASURED, MODELLED), channels.items(), strict=False):
+        shown = thinned(time_s, values)
+        axes.plot(*shown, ".", color=color, markersize=2.5, label=name)
+    axes.set_ylabel(label)
+    axes.set_xlabel("time, s")
+    if len(channels) > 1:
+        legend_above(axes, markerscale=4)
+    return made
+
+
+def against(
+    time_s: NDArray[Any], values: NDArray[Any], label: str, other: NDArray[Any], other_label: str
+) -> Figure:
+    """A channel (n,) and, dashed on a scale of its own, what drives it."""
+    made, (axes,) = figure(height=HEIGHT)
+    axes.plot(*thinned(time_s, values), color=MEASURED)
+    axes.set_ylabel(label)
+    axes.set_xlabel("time, s")
+    beside = axes.twinx()
+    beside.plot(*thinned(time_s, other), "--", color=MODELLED, linewidth=0.9)
+    beside.set_ylabel(other_label, color=MODELLED)
+    beside.grid(visible=False)
+    return made
+
+
+# Where a report comes from: when it was made, by which command, with which versions.
+
+
+LIBRARIES = ("numpy", "scipy", "numba", "control", "matplotlib")
+"""Whose numbers and figures are in reports."""
+
+
+def provenance() -> dict[str, str]:
+    """What stands at the foot of a report made now, by name."""
+    program, *arguments = sys.argv
+    command = shlex.join([Path(program).name or "python", *arguments])
+    return {
+        "made": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M:%S %z"),
+        "command": command,
+        "with": ", ".join(
+            [
+                f"groundstation {__version__}",
+                f"Python {platform.python_version()}",
+                *(f"{name} {_version(name)}" for name in LIBRARIES),
+            ]
+        ),
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:  # run from a folder of sources
+        return "unknown"
+
+
+# A report as one HTML file that needs nothing else: no network, no scripts, printable.
+#
+# Figures are enlarged by style sheets alone, so that a report can be shown where nothing may run.
+
 
 Cell = str | int | float | None
 
@@ -212,3 +481,79 @@ def _cell(cell: Cell) -> str:
     if isinstance(cell, float):
         return _clean(f"{cell:.4g}")
     return _clean(str(cell))
+
+
+# What results of the Python API share: a line, HTML for notebooks, warnings, a table, pictures.
+#
+# A result names the module that shows it; that module knows the result's type, and is loaded when
+# something of it is shown.
+
+
+ROWS = 20
+"""Of a table that a notebook's cell shows."""
+
+
+class Shown(NamedTuple):
+    """A result for people. line: in short. columns: its table, by name. warnings: in words.
+    pictures: by name, each drawn when it is asked for."""
+
+    line: str
+    columns: Mapping[str, Sequence[Any]]
+    warnings: Sequence[str]
+    pictures: Mapping[str, Callable[[], Figure]]
+
+
+class Result(ABC):
+    """A result that shows itself."""
+
+    __slots__ = ()
+    SHOWN_BY: ClassVar[str]
+    """A function that makes a ``Shown`` of it: ``package.module:function``."""
+
+    @abstractmethod
+    def _what(self) -> str:
+        """What it is called in its own line."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._what()})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: its line, the first rows of its table, and its warnings, folded away."""
+        shown = self._shown()
+        page = Page("")
+        page.text(shown.line)
+        names = list(shown.columns)
+        rows = list(zip(*shown.columns.values(), strict=True))
+        if rows:
+            few = f"The first {ROWS} of {len(rows)}." if len(rows) > ROWS else ""
+            page.table(names, rows[:ROWS], few)
+        page.advice([], list(shown.warnings))
+        return fragment(page)
+
+    def to_frame(self) -> Any:
+        """Its table: a pandas DataFrame where pandas is installed, otherwise a pyarrow table."""
+        import pyarrow
+
+        table = pyarrow.table({name: list(one) for name, one in self._shown().columns.items()})
+        return table.to_pandas() if find_spec("pandas") else table
+
+    @property
+    def pictures(self) -> list[str]:
+        """The names that ``plot`` knows."""
+        return list(self._shown().pictures)
+
+    def plot(self, picture: str = "") -> Figure:
+        """One of ``pictures``, as its report has it; without a name the first.
+
+        Raises BadInputError for another name, and where there is none.
+        """
+        known = self._shown().pictures
+        name = picture or next(iter(known), "")
+        if name not in known:
+            raise BadInputError(f"no picture {name!r}; there are {', '.join(known) or 'none'}")
+        return known[name]()
+
+    def _shown(self) -> Shown:
+        module, _, function = self.SHOWN_BY.partition(":")
+        made: Shown = getattr(import_module(module), function)(self)
+        return made

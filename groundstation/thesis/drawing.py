@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.report.figure import figure, thinned
-from groundstation.report.theme import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES
+from groundstation.report.page import (
+    BAD,
+    GOOD,
+    MEASURED,
+    MODELLED,
+    NEUTRAL,
+    SERIES,
+    figure,
+    thinned,
+)
 from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:

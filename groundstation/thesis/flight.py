@@ -12,7 +12,7 @@ from groundstation.identification.fit_record import liveliest
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch, stretches_of
 from groundstation.identification.torque import rotor_squares
-from groundstation.report.channels import against, lines
+from groundstation.report.page import against, lines
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.thesis.entry import Entry, Made
 from groundstation.thesis.workshop import Workshop

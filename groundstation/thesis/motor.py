@@ -12,8 +12,7 @@ from groundstation.identification.airborne import turning_parts
 from groundstation.identification.motor.fit import bench_run, simulate_run
 from groundstation.identification.motor.rotor_speed import speed_from_gate
 from groundstation.identification.runs import Run
-from groundstation.report.channels import lines, points
-from groundstation.report.page import Cell
+from groundstation.report.page import Cell, lines, points
 from groundstation.thesis.drawing import overlay
 from groundstation.thesis.entry import Entry, Made, Table
 from groundstation.thesis.printed import MOTOR_FIT

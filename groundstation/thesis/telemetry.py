@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.report.channels import lines
-from groundstation.report.page import Cell
+from groundstation.report.page import Cell, lines
 from groundstation.telemetry.packet import PACKET_DTYPE
 from groundstation.thesis.entry import Entry, Made, Table
 from groundstation.thesis.printed import PACKET as PRINTED

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from groundstation.report.result import Result
+from groundstation.report.page import Result
 from support import ROOT
 
 NOTEBOOK = ROOT / "docs" / "tour.ipynb"

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.report.figure import figure
-from groundstation.report.page import Page
+from groundstation.report.page import Page, figure
 
 PHONE = {"width": 360, "height": 740}
 

@@ -8,9 +8,7 @@ import pytest
 
 from groundstation import __version__
 from groundstation.errors import BadInputError
-from groundstation.report.figure import figure, png, svg, thinned
-from groundstation.report.page import Page
-from groundstation.report.theme import (
+from groundstation.report.page import (
     BAD,
     GOOD,
     IMPROVED,
@@ -22,8 +20,13 @@ from groundstation.report.theme import (
     NOTE,
     PAPER,
     SERIES,
+    Page,
+    figure,
+    png,
     style,
+    svg,
     themed,
+    thinned,
 )
 
 
