@@ -13,10 +13,10 @@ from bench.table import Row
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
 from groundstation.identification.body.fit import fit_body
+from groundstation.identification.division import stretches_of
 from groundstation.identification.motor.fit import bench_run, fit_motor
-from groundstation.identification.motor.supply import undo_supply
+from groundstation.identification.motor.workflow import undo_supply
 from groundstation.identification.runs import Run, runs_of
-from groundstation.identification.stretches import stretches_of
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 

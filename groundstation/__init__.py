@@ -33,16 +33,16 @@ if TYPE_CHECKING:
     from groundstation.dynamics.vehicle import load_vehicle as load_vehicle
     from groundstation.errors import BadInputError as BadInputError
     from groundstation.errors import GroundStationError as GroundStationError
-    from groundstation.identification.arx.fit import Criterion as Criterion
+    from groundstation.identification.arx.workflow import Criterion as Criterion
     from groundstation.identification.arx.workflow import identify_arx as identify_arx
     from groundstation.identification.body.workflow import identify_body as identify_body
     from groundstation.identification.division import hold_out as hold_out
     from groundstation.identification.motor.workflow import identify_motor as identify_motor
-    from groundstation.identification.recordings import flights_of as flights_of
-    from groundstation.identification.replayed import simulate_run as simulate_run
+    from groundstation.identification.report import simulate_run as simulate_run
     from groundstation.identification.runs import Run as Run
+    from groundstation.identification.runs import flights_of as flights_of
+    from groundstation.identification.runs import parse_selection as parse_selection
     from groundstation.identification.runs import runs_of as runs_of
-    from groundstation.identification.segments import parse_selection as parse_selection
     from groundstation.prediction.prediction import fly_reference as fly_reference
     from groundstation.prediction.prediction import load_reference as load_reference
     from groundstation.prediction.prediction import predict_ahead as predict_ahead
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 PUBLIC = {
     "BadInputError": "errors.BadInputError",
     "Client": "service.client.Client",
-    "Criterion": "identification.arx.fit.Criterion",
+    "Criterion": "identification.arx.workflow.Criterion",
     "GroundStationError": "errors.GroundStationError",
     "Model": "dynamics.model.Model",
     "PidGains": "control.pid.PidGains",
@@ -85,7 +85,7 @@ PUBLIC = {
     "fit_arx": "identification.arx.workflow.identify_arx",
     "fit_body": "identification.body.workflow.identify_body",
     "fit_motor": "identification.motor.workflow.identify_motor",
-    "flights_of": "identification.recordings.flights_of",
+    "flights_of": "identification.runs.flights_of",
     "fly_reference": "prediction.prediction.fly_reference",
     "gains_text": "control.gains_file.gains_text",
     "hold_out": "identification.division.hold_out",
@@ -96,13 +96,13 @@ PUBLIC = {
     "load_reference": "prediction.prediction.load_reference",
     "load_vehicle": "dynamics.vehicle.load_vehicle",
     "open_recording": "recording.open_recording.open_recording",
-    "parse_selection": "identification.segments.parse_selection",
+    "parse_selection": "identification.runs.parse_selection",
     "predict_ahead": "prediction.prediction.predict_ahead",
     "rest_bias": "attitude.fusion.rest_bias",
     "robustness": "control.firmware_design.robustness",
     "runs_of": "identification.runs.runs_of",
     "save_model": "dynamics.model.save_model",
-    "simulate_run": "identification.replayed.simulate_run",
+    "simulate_run": "identification.report.simulate_run",
     "socket_path": "service.config.socket_path",
     "vehicle_model": "dynamics.model.vehicle_model",
     "write_mcap": "recording.recording_file.write_mcap",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from groundstation import Model
     from groundstation.discrepancy.engine import Discrepancy
     from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
-    from groundstation.identification.likelihood.parameters import Variant
+    from groundstation.identification.likelihood.motion import Variant
 
 VALIDATE = typer.Option(
     None,
@@ -121,7 +121,7 @@ def discrepancy(
 
 def _own(path: Path | None) -> list[Variant]:
     from groundstation.dynamics.craft import consent
-    from groundstation.identification.likelihood.parameters import own_effects
+    from groundstation.identification.likelihood.motion import own_effects
 
     if path is None:
         return []

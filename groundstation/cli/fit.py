@@ -36,7 +36,7 @@ from groundstation.paths import digest
 if TYPE_CHECKING:
     from groundstation import Model, Recording, Run, Vehicle
     from groundstation.identification.fit_record import Identified, Progress
-    from groundstation.identification.segments import Selection
+    from groundstation.identification.runs import Selection
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings; several are fitted together.")
 VALIDATE = typer.Option(
@@ -179,7 +179,7 @@ def fit_arx(
     Example: [bold]groundstation fit arx flight.mcap -o arx.json --gyro --html arx.html[/bold]
     """
     from groundstation import Criterion
-    from groundstation.identification.arx.fit import parse_orders
+    from groundstation.identification.arx.workflow import parse_orders
 
     chosen = criterion or ("prediction" if gyro else "free_run")
     if chosen not in tuple(Criterion):
@@ -288,8 +288,8 @@ def _with_curve(found: Identified, task: _Task, recordings: Sequence[Recording])
 def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> list[str]:
     """What is doubtful of a fit and of what it was made on. Raises BadInputError where its
     estimates are none."""
-    from groundstation.identification.recordings import renewal_notes
-    from groundstation.identification.results import require_results
+    from groundstation.identification.fit_record import require_results
+    from groundstation.identification.runs import renewal_notes
     from groundstation.recording.plausibility import contradictions
 
     of_recordings = [
@@ -341,8 +341,8 @@ def _fingerprint(path: Path) -> dict[str, str]:
 
 
 def _print_account(whole: Model, account: dict[str, Any], output: Path) -> None:
-    from groundstation.identification.advice import good_for, next_of
     from groundstation.identification.division import LAST
+    from groundstation.identification.report import good_for, next_of
 
     show(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
     show(f"  {good_for(whole, account)[0]}")

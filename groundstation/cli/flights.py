@@ -60,7 +60,7 @@ def read_flights(
     Raises BadInputError where a recording says that it is of another vehicle than the model's,
     unless ``vehicle`` says the contrary, and where nothing lasts 5 s in any.
     """
-    from groundstation.identification.recordings import flights_of_each, renewal_notes
+    from groundstation.identification.runs import flights_of_each, renewal_notes
     from groundstation.recording.craft_family import require_craft_of
     from groundstation.recording.soundness import rejected
 

@@ -83,13 +83,13 @@ def runs_in(recordings: Sequence[Recording]) -> list[Run]:
 
 def bridged_runs_in(recordings: Sequence[Recording]) -> list[Run]:
     """The same with short gaps bridged, for what a radio's losses would cut to pieces."""
-    from groundstation.identification.recordings import bridged
+    from groundstation.identification.runs import bridged
 
     return [run for one in recordings for run in bridged(one.samples, one.path.name, least_s=1.0)]
 
 
 def motor_runs_in(recordings: Sequence[Recording]) -> list[Run]:
-    from groundstation.identification.motor.recorded import motor_runs
+    from groundstation.identification.motor.workflow import motor_runs
 
     return motor_runs([(one.samples, one.path.name) for one in recordings])
 

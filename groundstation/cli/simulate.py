@@ -100,7 +100,7 @@ def _on_recording(
     import numpy as np
 
     from groundstation import simulate_run
-    from groundstation.identification.replayed import channels_of, errors_of, rms_of
+    from groundstation.identification.report import channels_of, errors_of, rms_of
 
     runs = runs_from([recording])
     done = [simulate_run(model, run, window, turning) for run in runs]
@@ -141,7 +141,7 @@ def _along_reference(
     import numpy as np
 
     from groundstation import fly_reference, load_reference
-    from groundstation.identification.replayed import channels_of
+    from groundstation.identification.report import channels_of
 
     reference = load_reference(source)
     made = fly_reference(model, reference, supply_v)

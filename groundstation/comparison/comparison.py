@@ -27,8 +27,7 @@ from groundstation.comparison.refusals import (
 from groundstation.comparison.regimes import motion_of
 from groundstation.comparison.rotor_drive import driven_by_speeds
 from groundstation.dynamics.model import Model, Turning, model_vehicle, require_body
-from groundstation.identification.recordings import without_gaps
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, without_gaps
 from groundstation.report.page import Result
 from groundstation.telemetry.arrays import Array
 

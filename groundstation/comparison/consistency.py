@@ -19,8 +19,7 @@ from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.rotations import euler_rates
 from groundstation.dynamics.vehicle import MIXERS
 from groundstation.errors import BadInputError
-from groundstation.identification.recordings import without_gaps
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, without_gaps
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import spans

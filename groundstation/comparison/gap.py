@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.regimes import Motion, motion_of
 from groundstation.dynamics.model import Model, Turning
-from groundstation.identification.arx.flight import with_arx_attitude
-from groundstation.identification.recordings import without_gaps
-from groundstation.identification.runs import Run
+from groundstation.identification.arx.workflow import with_arx_attitude
+from groundstation.identification.runs import Run, without_gaps
 from groundstation.prediction.drive import fresh_rhythm, fresh_rows
 from groundstation.prediction.observer import Noise
 from groundstation.prediction.prediction import (

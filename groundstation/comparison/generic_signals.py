@@ -15,8 +15,8 @@ import numpy as np
 from groundstation.comparison.regimes import Motion
 from groundstation.dynamics.simulation import armature_mv
 from groundstation.dynamics.vehicle import MIXERS, Configuration
+from groundstation.identification.flight import LEAK_S, velocity_of
 from groundstation.identification.runs import Run
-from groundstation.identification.velocity import LEAK_S, velocity_of
 from groundstation.telemetry.arrays import AXES, Array
 
 LAGS = (1, 2, 3, 4, 6, 8, 12, 18, 26)

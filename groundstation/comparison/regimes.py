@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from groundstation.dynamics.effect import SPIN
 from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
 from groundstation.dynamics.simulation import REVOLUTION
-from groundstation.identification.airborne import flights_in
-from groundstation.identification.runs import Run
-from groundstation.identification.torque import SATURATED, RotorSquares, rotor_squares
-from groundstation.identification.velocity import velocity_of
+from groundstation.identification.flight import flights_in, velocity_of
+from groundstation.identification.runs import SATURATED, RotorSquares, Run, rotor_squares
 from groundstation.telemetry.arrays import Array
 
 Mask = NDArray[np.bool_]

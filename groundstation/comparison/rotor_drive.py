@@ -17,9 +17,7 @@ from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS, ROTORS_TURN_BY
 from groundstation.dynamics.simulation import duties_for
 from groundstation.dynamics.vehicle import MIXERS
-from groundstation.identification.recordings import without_gaps
-from groundstation.identification.runs import Run
-from groundstation.identification.torque import measured_squares
+from groundstation.identification.runs import Run, measured_squares, without_gaps
 from groundstation.telemetry.arrays import Array
 
 BAND_S = (0.05, 1.0)

@@ -20,7 +20,7 @@ from groundstation.discrepancy.screening import PENALTY, Scored, beside_shapes, 
 from groundstation.discrepancy.weight import Weight
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.model import Estimate
-from groundstation.identification.likelihood.parameters import Variant, estimates_of
+from groundstation.identification.likelihood.motion import Variant, estimates_of
 from groundstation.identification.likelihood.problem import Fit
 
 Asked = TypeVar("Asked")

@@ -9,7 +9,7 @@ from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusa
 from groundstation.discrepancy.findings import Refusal
 from groundstation.discrepancy.screening import cost_without
 from groundstation.discrepancy.search_state import Accepted, SearchState
-from groundstation.identification.likelihood.parameters import Variant
+from groundstation.identification.likelihood.motion import Variant
 
 
 def drop_needless(search: SearchState) -> bool:

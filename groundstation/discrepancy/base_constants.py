@@ -12,21 +12,19 @@ from groundstation.discrepancy.evidence import cross_validated
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.dynamics.registry import ROTORS_TURN_BY
-from groundstation.identification.body.certainty import (
+from groundstation.identification.body.setup import (
     DRAG_HZ,
+    GAINS,
     STEERED_HZ,
     YAW_BANDS,
     blurred,
     unseen,
 )
-from groundstation.identification.body.setup import GAINS
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.evaluation import ACCELEROMETER
-from groundstation.identification.likelihood.free_spectra import unfitted
-from groundstation.identification.likelihood.linearisation import linearise
-from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
+from groundstation.identification.likelihood.evaluation import ACCELEROMETER, evaluate
+from groundstation.identification.likelihood.motion import BODY_KEYS, MOTOR_KEYS, Point, absent
 from groundstation.identification.likelihood.problem import Fit, Problem, bounded
-from groundstation.identification.likelihood.residuals import evaluate
+from groundstation.identification.likelihood.spectra import linearise, unfitted
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Group = tuple[str, ...]

@@ -10,10 +10,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.likelihood.linearisation import Linear
-from groundstation.identification.likelihood.parameters import Variant
+from groundstation.identification.likelihood.motion import Variant
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.spectra import white_rows
+from groundstation.identification.likelihood.spectra import Linear, white_rows
 from groundstation.telemetry.arrays import Array
 
 BLOCK_S, MOST_BLOCKS = 2.0, 200

@@ -25,9 +25,9 @@ from groundstation.discrepancy.search import Outcome
 from groundstation.discrepancy.search_state import Accepted
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
-from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
+from groundstation.identification.body.setup import open_delay_s, unseen_delay_s
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.parameters import (
+from groundstation.identification.likelihood.motion import (
     BODY_KEYS,
     MOTOR_KEYS,
     Point,

@@ -11,7 +11,7 @@ from scipy.special import gammaincinv
 
 from groundstation.discrepancy.blocks import Blocks
 from groundstation.identification.estimate import inverse
-from groundstation.identification.likelihood.parameters import KEYS, VARIANTS, Point
+from groundstation.identification.likelihood.motion import KEYS, VARIANTS, Point
 from groundstation.telemetry.arrays import Array
 
 DELAY = next(one.sizes[0] for one in VARIANTS if one.definition.stage == "delay")

@@ -9,12 +9,9 @@ import numpy as np
 
 from groundstation.comparison.comparison import Judged
 from groundstation.errors import BadInputError
-from groundstation.identification.airborne import SETTLE_S, turning
-from groundstation.identification.division import Span, best_way, cut, excitation
-from groundstation.identification.flight import LEAST_AIR_S
-from groundstation.identification.recordings import without_gaps
-from groundstation.identification.runs import Run
-from groundstation.identification.stretches import LEAST_S
+from groundstation.identification.division import LEAST_S, Span, best_way, cut, excitation
+from groundstation.identification.flight import LEAST_AIR_S, SETTLE_S, turning
+from groundstation.identification.runs import Run, without_gaps
 from groundstation.telemetry.arrays import Array
 
 PIECE_S = LEAST_AIR_S + SETTLE_S

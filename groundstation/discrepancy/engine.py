@@ -37,24 +37,24 @@ from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import unseen
+from groundstation.identification.body.setup import unseen
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight, prepare
-from groundstation.identification.likelihood.on_board import in_plane_hz
-from groundstation.identification.likelihood.parameters import (
+from groundstation.identification.likelihood.motion import (
     BODY_KEYS,
     RENAMES,
     VARIANTS,
     Point,
+    Prior,
     Variant,
     absent,
+    body_prior,
     joined,
     model_of,
     own_of,
     point_of,
 )
-from groundstation.identification.likelihood.prior import Prior, body_prior
-from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
+from groundstation.identification.likelihood.problem import BASE_KEYS, Problem, in_plane_hz
 from groundstation.identification.runs import Run
 from groundstation.report.page import Result
 from groundstation.telemetry.arrays import AXES

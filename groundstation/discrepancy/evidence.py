@@ -11,13 +11,13 @@ import numpy as np
 
 from groundstation.discrepancy.screening import cost_without, sizes_at
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import unseen_delay_s
+from groundstation.identification.body.setup import unseen_delay_s
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight, prepare
-from groundstation.identification.likelihood.linearisation import Linear
-from groundstation.identification.likelihood.parameters import BODY_KEYS, Variant, value
+from groundstation.identification.likelihood.motion import BODY_KEYS, Variant, value
 from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.likelihood.spectra import (
+    Linear,
     Noise,
     Spectrum,
     quadratic,

@@ -20,7 +20,7 @@ from groundstation.discrepancy.screening import (
     tried,
 )
 from groundstation.discrepancy.search_state import ROUGHLY, Accepted, SearchState
-from groundstation.identification.likelihood.parameters import Point, Variant, absent
+from groundstation.identification.likelihood.motion import Point, Variant, absent
 from groundstation.identification.likelihood.problem import Fit
 
 SURE = 100.0

@@ -28,10 +28,8 @@ from groundstation.discrepancy.vibration import (
 from groundstation.dynamics.effect import FORCE, GYRO
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.on_board import ON_BOARD
-from groundstation.identification.likelihood.parameters import Point
-from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.rotors import spin_rotors
+from groundstation.identification.likelihood.motion import Point, spin_rotors
+from groundstation.identification.likelihood.problem import ON_BOARD, Problem
 from groundstation.telemetry.arrays import Array
 
 

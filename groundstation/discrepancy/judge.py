@@ -24,7 +24,7 @@ from groundstation.discrepancy.slow_disturbance import (
 )
 from groundstation.discrepancy.weight import Weight, weight
 from groundstation.dynamics.model import Model
-from groundstation.identification.likelihood.parameters import Point
+from groundstation.identification.likelihood.motion import Point
 
 CLEARLY_T = 2.0
 """Standard errors by which a channel is worse beside what is followed. There one is no reason: how

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from groundstation.discrepancy.blocks import Blocks
 from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.subsets import Subsets
-from groundstation.identification.likelihood.parameters import Point, Variant, absent
+from groundstation.identification.likelihood.motion import Point, Variant, absent
 from groundstation.telemetry.arrays import Array
 
 RESAMPLES = 100

@@ -18,7 +18,7 @@ from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome
 from groundstation.discrepancy.search_state import Accepted
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.parameters import ALONG, SENSOR_LAG
+from groundstation.identification.likelihood.motion import ALONG, SENSOR_LAG
 from groundstation.identification.likelihood.problem import Problem
 
 

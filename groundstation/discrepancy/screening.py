@@ -14,13 +14,7 @@ import numpy as np
 
 from groundstation.dynamics.effect import Key
 from groundstation.identification.estimate import inverse
-from groundstation.identification.likelihood.parameters import (
-    BODY_KEYS,
-    KEYS,
-    Point,
-    Variant,
-    absent,
-)
+from groundstation.identification.likelihood.motion import BODY_KEYS, KEYS, Point, Variant, absent
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem, bounded
 from groundstation.identification.likelihood.spectra import Quadratic
 from groundstation.telemetry.arrays import Array

@@ -12,7 +12,7 @@ from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
 from groundstation.discrepancy.screening import Scored, Screening, without
 from groundstation.discrepancy.weight import Weight
 from groundstation.dynamics.effect import CANDIDATES
-from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
+from groundstation.identification.likelihood.motion import RENAMES, Point, Variant, absent
 from groundstation.identification.likelihood.problem import STEPS, Fit, Problem
 
 Progress = Callable[[str, float], None]

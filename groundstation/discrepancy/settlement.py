@@ -11,7 +11,7 @@ from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import not_improved, unconfirmed
 from groundstation.discrepancy.prediction_gate import answer_to_predictions
 from groundstation.discrepancy.search_state import Accepted, SearchState, names_of
-from groundstation.identification.likelihood.parameters import Variant
+from groundstation.identification.likelihood.motion import Variant
 
 TRIM_ROUNDS, TRIM_SETTLED = 6, 0.01
 """How often the trims of flights and what explains them settle on each other, at most, and the

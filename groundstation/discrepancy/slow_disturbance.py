@@ -23,7 +23,7 @@ from groundstation.discrepancy.acceptance import LEAST_SURE, is_significant
 from groundstation.discrepancy.drift import drift_of, spread_of
 from groundstation.dynamics.model import Disturbance, Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import DISTURBANCE
-from groundstation.identification.likelihood.prior import trim_of
+from groundstation.identification.likelihood.motion import trim_of
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.discrepancy.acceptance import DROP_PER_PARAMETER, LEAST_DROP, plausible
 from groundstation.discrepancy.screening import UNDETERMINED
-from groundstation.identification.likelihood.parameters import Point, Variant, absent
+from groundstation.identification.likelihood.motion import Point, Variant, absent
 from groundstation.telemetry.arrays import Array
 
 RIDGE = 1e-9

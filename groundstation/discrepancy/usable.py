@@ -11,8 +11,7 @@ import numpy as np
 from groundstation.comparison.consistency import broken_rotor_sensors
 from groundstation.comparison.refusals import missing_channel, require_channels
 from groundstation.dynamics.model import Model
-from groundstation.identification.runs import Run
-from groundstation.identification.torque import mostly_saturated
+from groundstation.identification.runs import Run, mostly_saturated
 
 Groups = Sequence[Sequence[Sequence[Run]]]
 """To be fitted and held out, of recordings, of runs."""

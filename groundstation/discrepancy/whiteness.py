@@ -15,18 +15,16 @@ import numpy as np
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.findings import Leftover
 from groundstation.identification.estimate import inverse
-from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.linearisation import Linear
+from groundstation.identification.flight import LEAK_S, LEANING_LEAK_S, Flight
+from groundstation.identification.likelihood.evaluation import generic_signals
+from groundstation.identification.likelihood.motion import Frame, spin_rotors
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.residuals import generic_signals
-from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.likelihood.spectra import (
+    Linear,
     Spectrum,
     beside_lasting,
     transform_channel,
 )
-from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S
 from groundstation.telemetry.arrays import Array
 
 SCAN_DROP = 45.0

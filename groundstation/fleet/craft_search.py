@@ -92,7 +92,7 @@ def _searched(
     fit_on: Sequence[Path], held: Sequence[Path], model: Model | None, vehicle: str | None
 ) -> Discrepancy:
     from groundstation.discrepancy.engine import find_discrepancy
-    from groundstation.identification.recordings import flights_of_each, without_gaps
+    from groundstation.identification.runs import flights_of_each, without_gaps
     from groundstation.recording.craft_family import require_craft_of, vehicle_of
     from groundstation.recording.open_for_analysis import open_for_analysis
 
@@ -119,7 +119,7 @@ def _own_fit(fit_on: Sequence[Run], held: Sequence[Run], vehicle: str) -> Model:
     from groundstation.dynamics.model import model_vehicle, vehicle_model
     from groundstation.dynamics.vehicle import load_vehicle
     from groundstation.identification.body.workflow import identify_body
-    from groundstation.identification.results import require_results
+    from groundstation.identification.fit_record import require_results
 
     before = vehicle_model(load_vehicle(vehicle))
     found = identify_body(fit_on, held, before, model_vehicle(before))

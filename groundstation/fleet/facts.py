@@ -187,8 +187,8 @@ def _begun(recording: Recording, address: str, path: Path) -> str:
 
 def _airborne_s(recording: Recording) -> float:
     """Of stretches that are long enough for a fit."""
-    from groundstation.identification.airborne import airborne
-    from groundstation.identification.recordings import bridged
+    from groundstation.identification.flight import airborne
+    from groundstation.identification.runs import bridged
 
     try:
         flights = bridged(recording.samples, recording.path.name, LEAST_AIR_S)

@@ -18,7 +18,7 @@ from groundstation.paths import digest
 from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:
-    from groundstation.identification.stretches import Stretch
+    from groundstation.identification.division import Stretch
 
 
 CONSTANTS = ("c0", "c1", "c2", "thrust_per_mass")
@@ -95,9 +95,9 @@ def _told(
 ) -> tuple[dict[str, tuple[float, float]], float]:
     from groundstation.dynamics.vehicle import load_vehicle
     from groundstation.identification.body.fit import fit_body
-    from groundstation.identification.motor.supply import estimate_supply
-    from groundstation.identification.recordings import bridged
-    from groundstation.identification.stretches import stretches_of
+    from groundstation.identification.division import stretches_of
+    from groundstation.identification.motor.workflow import estimate_supply
+    from groundstation.identification.runs import bridged
     from groundstation.recording.craft_family import vehicle_of
     from groundstation.recording.open_for_analysis import open_for_analysis
 

@@ -1,19 +1,35 @@
-"""The report of an identification: what was found, how sure it is, and what is left over."""
+"""The report of an identification: what to do next, what was found, how sure it is, what is
+left over.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from groundstation.dynamics.meanings import arx_meaning, meaning_of
-from groundstation.dynamics.model import Model
-from groundstation.identification.advice import advice_of, good_for, next_of
-from groundstation.identification.arx.residual_tests import CorrelationTest
-from groundstation.identification.estimate import Estimates
-from groundstation.identification.fit_record import Evidence, ResidualTest, Step, Trace
-from groundstation.identification.segments import EVERYTHING
+from groundstation.dynamics.meanings import (
+    DESIGN,
+    Use,
+    arx_meaning,
+    meaning_of,
+    suitability,
+    title_of,
+    verdict,
+)
+from groundstation.dynamics.model import Model, Turning
+from groundstation.dynamics.sensors import shown_rotors
+from groundstation.errors import BadInputError
+from groundstation.identification.arx.workflow import with_arx_attitude
+from groundstation.identification.estimate import CorrelationTest, Estimates
+from groundstation.identification.fit_record import Evidence, Identified, ResidualTest, Step, Trace
+from groundstation.identification.runs import EVERYTHING, Run, require_known
+from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
 from groundstation.report.page import (
     BAD,
     BAND,
@@ -24,15 +40,297 @@ from groundstation.report.page import (
     ON_BRIGHT,
     ON_DARK,
     SERIES,
+    Advice,
     Cell,
     Page,
+    Result,
+    Shown,
     figure,
     legend_above,
+    thinned,
 )
+from groundstation.telemetry.arrays import Array
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.text import listed
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+# What a fit begins with, in plain words: what it is good for, what to do next, what to mind.
+
+
+SLOW_HZ = 400.0
+"""Below, samples do not show every setting of the motors."""
+MOVES = {
+    "c0": ("roll", "fly roll doublets of 10 degrees and more, several a second"),
+    "c1": ("pitch", "fly pitch doublets of 10 degrees and more, several a second"),
+    "c2": ("yaw", "fly yaw steps of 60 degrees both ways, several in ten seconds"),
+}
+
+
+def good_for(model: Model, account: Mapping[str, Any]) -> tuple[str, str]:
+    """What a fit found and how sure, with what that is good for, and what kind of verdict it is.
+    account: the fit's, which the model's own need not have yet."""
+    if account["what"] == "motor":
+        return _motor(account)
+    if account["what"] == "arx":
+        return _arx(account)
+    found = suitability(msgspec.structs.replace(model, fit={"body": dict(account)}))
+    shares = [(axis, one.share) for axis, one in found.items() if one.use != Use.NOTHING]
+    known = ", ".join(f"{axis} to {100 * share:.2g} %" for axis, share in shares if share)
+    uses = [one.use for one in found.values()]
+    kind = "good" if min(uses) == Use.DESIGN else "neutral"
+    if max(uses) < Use.FIRST_DESIGN:
+        kind = "bad"
+    return f"{verdict(found)}. Known, by standard error: {known or 'none'}.", kind
+
+
+def next_of(account: Mapping[str, Any]) -> str:
+    """What to do now."""
+    if account["what"] == "motor":
+        return "fit the body with it: groundstation fit body FLIGHTS --model THIS -o BODY"
+    if account["what"] == "arx":
+        return "compare it with the body model on another flight: groundstation compare."
+    if left := account.get("left_out"):
+        names = listed([title_of(name) for name in left])
+        return f"what these flights show besides ({names}) into the file: {_again(account, left)}"
+    if weak := _weakest(account):
+        return f"{_remedy(account, weak)}, and fit both recordings together."
+    return "look for what is missing: groundstation discrepancy, with another flight as --validate."
+
+
+def _again(account: Mapping[str, Any], effects: Sequence[str]) -> str:
+    """The command that fits the same with effects that were left out."""
+    held = account.get("held_out")
+    files = [one["file"] for one in account.get("recordings", ())] or ["FLIGHTS"]
+    words = ["groundstation fit body", *files]
+    if isinstance(held, list):
+        words += ["--validate", *(one["file"] for one in held)]
+    return " ".join([*words, "-o NEW_FILE", "--with", ",".join(effects)])
+
+
+def advice_of(account: Mapping[str, Any], failed: Sequence[str]) -> list[Advice]:
+    """What must not be overlooked, the gravest first. failed: channels in whose residuals the
+    input still shows."""
+    found = []
+    shares = _shares(account)
+    for name, reason in account.get("not_identified", {}).items():
+        axis = MOVES[name][0]
+        found.append(
+            Advice(
+                f"{axis.capitalize()} is not identified: {reason}",
+                f"The file has the profile's {name}; its {axis} is a guess",
+                _remedy(account, name).capitalize(),
+            )
+        )
+    for name, share in shares.items():
+        if name in MOVES and name not in account.get("not_identified", {}) and share > DESIGN:
+            axis, fly = MOVES[name]
+            found.append(
+                Advice(
+                    f"{axis.capitalize()} is known to {100 * share:.0f} % only",
+                    "Gains that are designed on it may be off by as much",
+                    fly.capitalize(),
+                )
+            )
+    if account["what"] == "body" and 0.0 < account.get("rate_hz", 0.0) < SLOW_HZ:
+        hz = account["rate_hz"]
+        found.append(
+            Advice(
+                f"{hz:.0f} samples a second show one in {500.0 / hz:.1f} of the motors' settings",
+                "What the craft was told between them is unknown, and counts in the errors",
+                "Record 500 a second, or rotor speeds",
+            )
+        )
+    if failed:
+        found.append(
+            Advice(
+                f"The input still shows in what is left of {listed(list(failed))}",
+                "Something acts there that the model does not have",
+                "Search with groundstation discrepancy",
+            )
+        )
+    return found
+
+
+def _motor(account: Mapping[str, Any]) -> tuple[str, str]:
+    shares = _shares(account)
+    name, share = max(shares.items(), key=lambda one: one[1])
+    text = f"The motor is known to {100 * share:.2g} % ({name}, the least certain)"
+    held = account.get("validation")
+    if held:
+        fits = [one["rotor_fit_percent"] for one in held]
+        text += f", and its speed on unseen data fits by {min(fits):.1f} %"
+    good = share <= DESIGN and not (held and min(fits) < 0.0)
+    return f"{text}: {'good enough for body fits and design' if good else 'a start'}.", (
+        "good" if good else "bad"
+    )
+
+
+def _arx(account: Mapping[str, Any]) -> tuple[str, str]:
+    chosen = ", ".join(f"{axis} {one['chosen']}" for axis, one in account["axes"].items())
+    failed = [
+        axis for axis, one in account["axes"].items() if not one["cross_correlation"]["passes"]
+    ]
+    left = (
+        f"; the input still shows in what is left of {listed(failed)}: for a first, cautious design"
+        if failed
+        else "; nothing of the input is left: good enough to design with"
+    )
+    return f"Chosen: {chosen}{left}.", "bad" if failed else "good"
+
+
+def _shares(account: Mapping[str, Any]) -> dict[str, float]:
+    """Standard error over value of each constant."""
+    found = account.get("estimates") or {"names": (), "values": (), "stderr": ()}
+    return {
+        name: float(error / abs(value)) if value else float(np.inf)
+        for name, value, error in zip(found["names"], found["values"], found["stderr"], strict=True)
+        if "." not in name and not name.endswith("_s")
+    }
+
+
+def _weakest(account: Mapping[str, Any]) -> str | None:
+    """The constant that is known worst, where that is not good enough."""
+    unknown = account.get("not_identified", {})
+    shares = {
+        name: np.inf if name in unknown else share
+        for name, share in _shares(account).items()
+        if name in MOVES
+    }
+    name = max(shares, key=lambda one: shares[one], default=None)
+    return name if name is not None and shares[name] > DESIGN else None
+
+
+def _remedy(account: Mapping[str, Any], name: str) -> str:
+    """What to fly, or to record where no manoeuvre helps, so that a constant is told."""
+    record = account.get("record", {}).get(name)
+    return f"record {record}" if record else MOVES[name][1]
+
+
+# An identified model on recorded inputs: what it would have measured.
+
+
+CHANNELS = (
+    *(f"gyro {axis} (deg/s)" for axis in "xyz"),
+    *(f"accelerometer {axis} (g)" for axis in "xyz"),
+    *(f"{axis} (deg)" for axis in ("roll", "pitch", "yaw")),
+)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Replayed(Result):
+    """Modelled channels of a run, row by row, as the telemetry would report them.
+
+    gyro: (n, 3) rad/s. accelerometer: (n, 3) m/s^2. attitude: (n, 3) rad, yaw unwrapped.
+    rotor_rev_s: (n, 4). flown: (n,) rows that were simulated; the others, on the ground or of a
+    window that began there, repeat what was measured. run: what was measured.
+    """
+
+    gyro: Array
+    accelerometer: Array
+    attitude: Array
+    rotor_rev_s: Array
+    flown: NDArray[np.bool_]
+    run: Run
+    SHOWN_BY: ClassVar[str] = "groundstation.identification.report:replayed"
+
+    def _what(self) -> str:
+        share = 100.0 * float(self.flown.mean())
+        return f"{self.run.name}: {len(self.flown)} samples, {share:.0f} % simulated"
+
+
+def simulate_run(
+    model: Model, run: Run, window_s: float = 0.5, turning: Turning = "body"
+) -> Replayed:
+    """Fly a body model, with its effects, on a run's PWM and battery voltage.
+
+    The motors run through; every ``window_s`` the rest starts afresh from the state that was
+    observed until then, because no model of an unstable craft can follow a flight for long. The
+    row of a fresh start is the measured one. turning: what turns the craft, the body or the model's
+    ARX polynomials, which start from what was measured.
+
+    Raises BadInputError where the run lacks PWM, battery voltage, gyro or attitude.
+    """
+    require_known(run, ("duty", "supply_v", "gyro", "attitude"), "nothing can be flown without it")
+    if window_s < run.period_s:
+        raise BadInputError(f"window of {window_s} s is shorter than a row ({run.period_s:.4f} s)")
+    seen = observe_run(model, run)
+    gyro, accelerometer = run.gyro.copy(), run.accelerometer.copy()
+    attitude = np.unwrap(run.attitude, axis=0)
+    flown = np.zeros(len(run), np.bool_)
+    rows = min(max(1, round(window_s / run.period_s)), len(run) - 1)
+    starts = np.arange(0, len(run) - 1, rows)
+    for group, ahead in ((starts[:-1], rows), (starts[-1:], len(run) - 1 - int(starts[-1]))):
+        done = fly_ahead(run, seen, group, np.arange(1, ahead + 1))
+        if turning == "arx":
+            done = with_arx_attitude(done, model, run)
+        at = group[:, None] + done.horizons
+        real = seen.flying[at] & seen.flying[group][:, None]
+        gyro[at[real]] = done.gyro[real]
+        accelerometer[at[real]] = done.accelerometer[real]
+        attitude[at[real]] = done.attitude[real]
+        flown[at[real]] = True
+    attitude = np.unwrap(attitude, axis=0)
+    shown = shown_rotors(model, seen.drive.rotor_rev_s, run.period_s)
+    return Replayed(gyro, accelerometer, attitude, shown, flown, run)
+
+
+def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:
+    """RMS (3,) of roll, pitch, yaw in rad of free runs of ``window_s``, over what was flown: the
+    errors of thesis Table 7.2, which does not say how long its runs were. The first of each
+    recording is left out: the state it starts from is not observed yet.
+
+    Raises BadInputError as ``simulate_run``, and where nothing was flown or a run diverges.
+    """
+    errors = []
+    for run in runs:
+        done = simulate_run(model, run, window_s)
+        rows = np.flatnonzero(done.flown)
+        rows = rows[rows > max(window_s, SETTLE_S) / run.period_s]
+        turn = run.attitude[rows] - done.attitude[rows]
+        if not np.isfinite(turn).all():
+            raise BadInputError(f"{run.name}: free runs of {window_s:g} s end nowhere")
+        errors.append(np.angle(np.exp(1j * turn)))
+    every = np.vstack(errors)
+    if not len(every):
+        raise BadInputError("by the model's thrust the craft never leaves the ground")
+    return np.sqrt(np.mean(np.square(every), axis=0))
+
+
+def channels_of(gyro: Array, accelerometer: Array, attitude: Array) -> Array:
+    """(n, 9) in the units of ``CHANNELS``."""
+    return np.column_stack(
+        [np.degrees(gyro), accelerometer / STANDARD_GRAVITY, np.degrees(attitude)]
+    )
+
+
+def errors_of(run: Run, done: Replayed) -> Array:
+    """Measured less modelled, (n, 9) in the units of ``CHANNELS``; angles wrapped.
+
+    NaN in rows that were not simulated.
+    """
+    error = channels_of(run.gyro, run.accelerometer, run.attitude)
+    error -= channels_of(done.gyro, done.accelerometer, done.attitude)
+    error[:, 6:] = (error[:, 6:] + 180.0) % 360.0 - 180.0
+    error[~done.flown] = np.nan
+    return error
+
+
+def rms_of(errors: Array) -> Array:
+    """Root mean square per channel over what is known, NaN where nothing is."""
+    known = np.isfinite(errors)
+    count = known.sum(axis=0)
+    square = np.where(known, errors, 0.0) ** 2
+    return np.where(count, np.sqrt(square.sum(axis=0) / np.maximum(count, 1)), np.nan)
+
+
+# The report of an identification: what was found, how sure it is, and what is left over.
+
 
 MOST_PERCENT = 1e4
 Meaning = Callable[[str], tuple[str, str]]
@@ -295,3 +593,64 @@ def steps(shown: Sequence[Step]) -> Figure:
         axes.legend(loc="lower right")
     every[0].set_ylabel("output over the chosen one's end")
     return made
+
+
+# Fits and replayed flights as the Python API shows them.
+
+
+SHOWN_S = 5.0
+
+
+def identified(one: Identified) -> Shown:
+    """The estimates with their errors; each figure of the report."""
+    columns: dict[str, list[object]] = {
+        name: [] for name in ("part", "name", "value", "stderr", "low", "high")
+    }
+    pictures: dict[str, Callable[[], Figure]] = {}
+    for part, estimates in one.evidence.estimates.items():
+        interval = estimates.interval()
+        for k, name in enumerate(estimates.names):
+            row = (part, name, estimates.values[k], estimates.stderr[k], *interval[k])
+            for column, cell in zip(columns.values(), row, strict=True):
+                column.append(cell if isinstance(cell, str) else float(cell))
+        if len(estimates.names) > 1:
+            several = len(one.evidence.estimates) > 1
+            name = f"certainty {part}" if several else "certainty"
+            pictures[name] = partial(certainty, estimates)
+    pictures |= {each.channel: partial(trace, each) for each in one.evidence.traces}
+    for each in one.evidence.residuals:
+        pictures[f"residuals of {each.channel}"] = partial(residual, each)
+    if one.evidence.steps:
+        pictures["step responses"] = partial(steps, one.evidence.steps)
+    return Shown(f"{one}: {good_for(one.model, one.account)[0]}", columns, one.warnings, pictures)
+
+
+def replayed(one: Replayed) -> Shown:
+    """Every sample of each channel; measured and simulated where they move most."""
+    run = one.run
+    columns: dict[str, Any] = {"time_s": run.time_s - run.recording_start_s}
+    for name in ("gyro", "accelerometer", "attitude"):
+        for axis in range(3):
+            columns[f"{name}_{'xyz'[axis]}"] = getattr(one, name)[:, axis]
+    columns["flown"] = one.flown
+    first = int(np.argmax(one.flown))
+    rows = slice(first, first + round(SHOWN_S / run.period_s))
+    return Shown(repr(one), columns, (), {"channels": partial(_overlay, one, rows)})
+
+
+def _overlay(done: Replayed, rows: slice) -> Figure:
+    """Measured and simulated, nine channels."""
+    run = done.run
+    measured = channels_of(run.gyro, run.accelerometer, run.attitude)[rows]
+    modelled = channels_of(done.gyro, done.accelerometer, done.attitude)[rows]
+    time = run.time_s[rows] - run.recording_start_s
+    drawn, axes = figure(9.5, 7.0, rows=3, columns=3, sharex=True)
+    for i, name in enumerate(CHANNELS):
+        t, one, other = thinned(time, measured[:, i], modelled[:, i])
+        axes[i].plot(t, one, color=MEASURED, label="measured")
+        axes[i].plot(t, other, color=MODELLED, label="simulated")
+        axes[i].set_title(name)
+    for axis in axes[6:]:
+        axis.set_xlabel("time, s")
+    drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return drawn

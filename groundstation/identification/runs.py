@@ -1,21 +1,95 @@
-"""Runs: uninterrupted stretches of a recording on an even time grid.
-
-Every estimate works on runs, so that a gap, a restart or another sample rate can never be read
-as motion. A run may be cut further: by hand, or into what is fitted and what is held out.
+"""Runs: uninterrupted stretches of a recording on an even time grid, and what drives the craft
+in them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.simulation import armature_mv, simulate_motor, steady_rev_s
+from groundstation.dynamics.vehicle import MIXERS, Configuration, MotorConstants, Motors
 from groundstation.errors import BadInputError
-from groundstation.identification.supply_answer import at_the_rows_voltage
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.samples import SampleBatch, on_even_grid, spans
+from groundstation.telemetry.samples import (
+    HELD,
+    SETTINGS_HZ,
+    SampleBatch,
+    filled,
+    on_even_grid,
+    renewals,
+    slower_than_rows,
+    spans,
+)
+
+# What the voltage does within a row that holds two settings of the motors.
+#
+# A row has the voltage of one moment. Where it answers to a setting at once, through the resistance
+# of cell and leads, it was another under the row's first setting, and so was the craft's thrust: on
+# the stand-in of today's Brushless by 11 mV rms, alternating as the settings do.
+
+
+class SupplyAnswer:
+    """How far the voltage changes at once where the load does, learnt from row to row.
+
+    The load: sum of the four squares of duty. A motor's supply current goes with its square as long
+    as its speed stays, and it hardly changes from one setting to the next.
+    """
+
+    def __init__(self) -> None:
+        self._before = np.full(2, np.nan)
+        self._sums = np.zeros(2)
+
+    def learn(self, duty: Array, step: Array, supply_v: Array) -> Array:
+        """V of one unit of load, (n,), negative or 0: what rows until each of these have shown.
+
+        Consecutive rows behind those of the last call, as of ``at_the_rows_voltage``; those that
+        are NaN show nothing.
+        """
+        load = ((duty + 0.5 * step) ** 2).sum(axis=1)
+        load[load == 0.0] = np.nan  # motors at rest show nothing of their supply
+        rows = np.column_stack([self._before, [load, supply_v]])
+        self._before = rows[:, -1]
+        loads, volts = np.diff(rows)
+        both = np.isfinite(loads) & np.isfinite(volts)
+        terms = np.where(both, [loads**2, loads * volts], 0.0)
+        sums = np.cumsum(np.column_stack([self._sums, terms]), axis=1)[:, 1:]
+        self._sums = sums[:, -1]
+        moved, answered = sums
+        return np.minimum(
+            np.divide(answered, moved, out=np.zeros_like(moved), where=moved > 0.0), 0.0
+        )
+
+
+def at_the_rows_voltage(
+    duty: Array, step: Array, supply_v: Array, answer_v: Array | None = None
+) -> tuple[Array, Array]:
+    """Duty and step (n, 4) whose products with a row's voltage are what both settings got.
+
+    duty: mean of a row's two settings; step: the second less the first; supply_v: (n,), read under
+    the second; answer_v: of ``SupplyAnswer.learn``, near 0 where a reading is filtered, None: what
+    all these rows show. Rows that do not tell two settings stay as they are.
+    """
+    if answer_v is None:
+        answer_v = SupplyAnswer().learn(duty, step, supply_v)[-1:]
+    known = np.isfinite(step).all(axis=1) & (supply_v > 0.0)
+    first, second = duty - 0.5 * step, duty + 0.5 * step
+    rise_v = answer_v * ((first**2).sum(axis=1) - (second**2).sum(axis=1))
+    share = np.divide(rise_v, supply_v, out=np.zeros_like(supply_v), where=known)
+    more = np.where(known[:, None], first * share[:, None], 0.0)
+    return duty + 0.5 * more, step - more
+
+
+# Runs: uninterrupted stretches of a recording on an even time grid.
+#
+# Every estimate works on runs, so that a gap, a restart or another sample rate can never be read
+# as motion. A run may be cut further: by hand, or into what is fitted and what is held out.
+
 
 Mask = NDArray[np.bool_]
 
@@ -247,3 +321,301 @@ def uninterrupted(
 
 def _uneven(steps: Array, usual_s: float) -> Mask:
     return np.abs(steps - usual_s) > STEP_TOLERANCE * usual_s
+
+
+# Recordings as the search wants them: whole flights on an even grid, lost rows as NaN.
+#
+# Identification cuts a recording at every gap. A radio that loses two rows in a hundred would leave
+# it nothing; here short gaps become rows without values, and only long silences and restarts end
+# a run.
+
+
+LONGEST_GAP_S = 0.1
+"""A longer silence ends a run: the motors' inputs are no longer known."""
+ESSENTIAL = ("duty", "accelerometer")
+"""Channels whose longer silences end a run, where they read elsewhere; the gyro's any does."""
+LEAST_S = 5.0
+SOURCES = {
+    "duty": "what the motors are set to",
+    "gyro": "the gyro",
+}
+"""Fields that the fits need in every row, in words."""
+
+
+def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:
+    """The runs of a recording that last at least ``least_s``, rows lost in between being NaN.
+
+    A row whose gyro does not read counts as lost, and so does one with an impossible duty. Rows
+    that a host stamped stand where their craft took them; of rows that repeat what a slower source
+    said, those are taken that renew it.
+
+    Raises TooShortError where no run is long enough, BadInputError where the rate is not one of
+    inertial telemetry.
+    """
+    label = name or "recording"
+    possible = with_readings(with_possible_duty(samples, label), ESSENTIAL, LONGEST_GAP_S)
+    whole = renewed(on_even_grid(possible), label)
+    read: NDArray[np.bool_] = np.asarray(np.isfinite(whole.gyro).all(axis=1))
+    if read.any() and not read.all():
+        whole = whole[read]
+    return [
+        _on_grid(whole[rows], label, float(samples.time_s[0]))
+        for rows in uninterrupted(whole, label, least_s, _silent)
+    ]
+
+
+def renewed(samples: SampleBatch, label: str) -> SampleBatch:
+    """The rows in which the slower of gyro and motors is renewed, where rows come faster than it.
+
+    What acted between two of them is then as unknown as in a recording of that rate, and counts as
+    much. Rotor speeds that were measured drive a flight in place of the motors' settings, and
+    how long they are held is part of their own noise (``speed_noise``).
+
+    Raises BadInputError where it is renewed too seldom for inertial telemetry.
+    """
+    slowest, hold = _slowest(samples)
+    if hold <= HELD:
+        return samples
+    usual_s = float(np.median(np.diff(samples.time_s)))
+    hz = 1.0 / (hold * usual_s)
+    if hz >= SETTINGS_HZ:
+        return samples
+    if hz < SLOWEST_HZ <= 1.0 / usual_s:
+        raise BadInputError(
+            f"{label}: {SOURCES[slowest]} is renewed {hz:.3g} times a second in"
+            f" {1 / usual_s:.3g} rows a second; {SLOWEST_HZ:.0f} to {FASTEST_HZ:.0f} are needed:"
+            " log it as often as the rows (PX4: SDLOG_PROFILE)"
+        )
+    new = renewals(getattr(samples, slowest))
+    between = np.diff(new, append=len(samples))
+    each = np.maximum(np.rint(between / hold), 1).astype(np.intp)  # also while it rests
+    share = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
+    rows = np.repeat(new, each) + np.rint(share * np.repeat(between / each, each)).astype(np.intp)
+    return samples[rows]
+
+
+def renewal_notes(samples: SampleBatch, name: str) -> list[str]:
+    """What to say of a recording of which only some rows are taken, because they renew a slow
+    channel."""
+    slowest, hold = _slowest(samples)
+    usual_s = float(np.median(np.diff(samples.time_s))) if len(samples) > 1 else 0.0
+    if hold <= HELD or 1.0 / (hold * usual_s) >= SETTINGS_HZ:
+        return []
+    return [
+        f"{name}: {SOURCES[slowest]} is renewed {1 / (hold * usual_s):.3g} times a second in"
+        f" {1 / usual_s:.3g} rows a second: only the rows that renew it are used"
+    ]
+
+
+def _slowest(samples: SampleBatch) -> tuple[str, float]:
+    """The slower of gyro and, where no speeds were measured, motors' settings, and how many rows
+    its values stand."""
+    speeds = np.isfinite(samples.rotor_rev_s).any(axis=0).all()
+    names = ["gyro"] if speeds else list(SOURCES)
+    found = {name: slower_than_rows(renewals(getattr(samples, name))) for name in names}
+    return max(found.items(), key=lambda one: one[1])
+
+
+def flights_of_each(
+    recordings: Iterable[tuple[SampleBatch, str]],
+) -> tuple[list[list[Run]], list[str]]:
+    """The runs of recordings, each with its name: none where nothing lasts, which is told in words.
+
+    Raises TooShortError where nothing lasts in any, and BadInputError as ``flights_of`` does.
+    """
+    found: list[list[Run]] = []
+    short: list[TooShortError] = []
+    for samples, name in recordings:
+        try:
+            found.append(flights_of(samples, name))
+        except TooShortError as error:
+            found.append([])
+            short.append(error)
+    if short and not any(found):
+        raise short[0]
+    return found, [f"left out: {error}" for error in short]
+
+
+def _silent(steps: NDArray[np.float64], usual_s: float) -> NDArray[np.bool_]:
+    return (steps > LONGEST_GAP_S) | (steps < 0)
+
+
+def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:
+    """Rows on a grid whose period is the mean over steps without a gap."""
+    time = samples.time_s
+    steps = np.diff(time)
+    whole = np.rint(steps / float(np.median(steps)))
+    place = np.concatenate([[0], np.cumsum(np.maximum(whole, 1.0))]).astype(np.int64)
+    period = float((time[-1] - time[0]) / place[-1])
+    count = int(place[-1]) + 1
+
+    def grid(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        out = np.full((count, *values.shape[1:]), np.nan)
+        out[place] = np.where(np.isfinite(values), values, np.nan)
+        return out
+
+    attitude = _unwrapped(samples.attitude.astype(np.float64))
+    return run_of(samples, attitude, label, period, recording_start_s, grid)
+
+
+def _unwrapped(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (n, 3) without jumps of a turn, across rows that do not read as well."""
+    out = attitude.copy()
+    known = np.isfinite(attitude).all(axis=1)
+    out[known] = np.unwrap(attitude[known], axis=0)
+    return out
+
+
+def bridged(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:
+    """The same with short gaps bridged on straight lines, for what a radio's losses would cut to
+    pieces."""
+    return [without_gaps(run) for run in flights_of(samples, name, least_s)]
+
+
+def without_gaps(run: Run) -> Run:
+    """The run with its missing rows filled in, for what needs every row.
+
+    Measured speeds drive the rotors: silences longer than ``LONGEST_GAP_S`` are not filled.
+    """
+    parts: dict[str, Any] = {name: filled(getattr(run, name)) for name in CHANNELS}
+    for rotor, silent in enumerate(~np.isfinite(run.rotor_rev_s.T)):
+        for first, last in spans(silent):
+            if (last - first) * run.period_s > LONGEST_GAP_S:
+                parts["rotor_rev_s"][first:last, rotor] = np.nan
+    return replace(run, **parts)
+
+
+# Which seconds of a recording to identify on.
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What to identify on.
+
+    spans_s: (from, to) in seconds of device time since the recording's first row, any of which a
+    row must lie in; none: the whole recording.
+    """
+
+    spans_s: tuple[tuple[float, float], ...] = ()
+
+    def __str__(self) -> str:
+        spans = ", ".join(f"{a:g} to {b:g} s" for a, b in self.spans_s)
+        return f"in {spans}" if spans else "anything"
+
+
+EVERYTHING = Selection()
+
+
+def parse_selection(segments: tuple[str, ...] = ()) -> Selection:
+    """A selection as typed: ``12.5:40`` (seconds). Raises BadInputError."""
+    return Selection(tuple(span_of(text, "--segment") for text in segments))
+
+
+def span_of(text: str, option: str) -> tuple[float, float]:
+    """Seconds as typed after an option: ``12.5:40``. Raises BadInputError."""
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        low, high = math.nan, math.nan
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise BadInputError(f"{option} {text}: give two rising numbers, for instance 12.5:40")
+    return low, high
+
+
+def selected(run: Run, selection: Selection) -> Mask:
+    """Rows (n,) of a run that a selection chooses."""
+    if not selection.spans_s:
+        return np.ones(len(run), np.bool_)
+    time = run.time_s - run.recording_start_s
+    return np.any([(time >= a) & (time < b) for a, b in selection.spans_s], axis=0)
+
+
+# From motor voltages to the mixer's u' (thesis 7.3.4): what turns the body.
+
+
+SMOOTH_S = 0.018
+SATURATED = 0.995
+"""Duty above which a motor gives all it has."""
+
+
+@dataclass(frozen=True, slots=True)
+class RotorSquares:
+    """Squared rotor speeds behind a run.
+
+    square: (n, 4) (rev/s)^2, mean over the period that ends with the row. end: (n, 4) at the row.
+    """
+
+    square: Array
+    end: Array
+
+    def mixed(self, configuration: Configuration) -> Array:
+        """u' (n, 3) of eq. 7.19, mean over the period that ends with the row."""
+        return self.square @ MIXERS[configuration].T
+
+
+def mostly_saturated(run: Run) -> bool:
+    """Whether a motor gives all it has in more than half of the rows."""
+    return bool((run.duty.max(axis=1) >= SATURATED).mean() > 0.5)
+
+
+def by_saturation(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """(runs that PWM steers, those in most rows of which a motor is saturated)."""
+    found: tuple[list[Run], list[Run]] = [], []
+    for run in runs:
+        found[mostly_saturated(run)].append(run)
+    return found
+
+
+def rotor_squares(run: Run, motor: MotorConstants | Motors) -> RotorSquares:
+    """Squared rotor speeds by simulating the motors.
+
+    The motors start settled at the first row's voltage; what is wrong with that is gone after
+    half a second.
+
+    Raises BadInputError where duty or battery voltage are missing, and where the motors are
+    saturated throughout.
+    """
+    settings = run.settings
+    each = len(settings) // len(run)
+    voltage = armature_mv(settings, np.repeat(run.supply_v, each))
+    require_known(run, ("duty", "supply_v"), "the motors need it")
+    if mostly_saturated(run):
+        raise BadInputError(
+            f"{run.name}: a motor is saturated in more than half of the rows; the torque does not"
+            " follow the control there: fly with less thrust or a full battery"
+        )
+    driving = np.maximum(voltage, 0.0)
+    start = steady_rev_s(motor, driving[0])
+    speed, square = simulate_motor(motor, driving[each:], run.period_s / each, start)
+    mean = square.reshape(-1, each, square.shape[1]).mean(axis=1)
+    return RotorSquares(np.vstack([start**2, mean]), speed[::each] ** 2)
+
+
+def measured_squares(run: Run) -> RotorSquares:
+    """Squared rotor speeds as recorded.
+
+    Raises BadInputError where some rows have none.
+    """
+    require_known(run, ("rotor_rev_s",), "fit without --measured-rotors")
+    return squares_between(_smoothed(run))
+
+
+def squares_between(speed: Array) -> RotorSquares:
+    """Squares of speeds (n, 4), rev/s, which are straight between rows."""
+    before = np.vstack([speed[:1], speed[:-1]])
+    return RotorSquares((speed**2 + before**2 + before * speed) / 3, speed**2)
+
+
+def _smoothed(run: Run) -> Array:
+    """Measured speeds with less noise: parabolas over ``SMOOTH_S`` around each row.
+
+    Speeds count by their steps from row to row (the rotors' acceleration turns the craft as
+    well), which are mostly noise as they come: on real flights the torque of accelerating rotors
+    drowns in it.
+    """
+    from scipy.signal import savgol_filter
+
+    width = 2 * round(0.5 * SMOOTH_S / run.period_s) + 1
+    if width <= 3:
+        return run.rotor_rev_s
+    return np.asarray(savgol_filter(run.rotor_rev_s, width, 2, axis=0), np.float64)

@@ -13,7 +13,7 @@ from groundstation.documents import decode_json, read_document
 from groundstation.dynamics.effect import to_point
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
-from groundstation.identification.likelihood.parameters import KEYS
+from groundstation.identification.likelihood.motion import KEYS
 
 WORTH = 0.1
 """Of the size worth finding: what is smaller in every number is told, and not named."""

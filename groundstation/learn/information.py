@@ -11,7 +11,7 @@ import numpy as np
 from groundstation.dynamics.model import Model
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import BODY_KEYS, KEYS, point_of
+from groundstation.identification.likelihood.motion import BODY_KEYS, KEYS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.spectra import quadratic
 from groundstation.identification.runs import Run

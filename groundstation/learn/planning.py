@@ -17,8 +17,7 @@ from groundstation.control.programme import HOLDS, MANOEUVRE
 from groundstation.documents import decode_json, read_document
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.identification.recordings import flights_of
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, flights_of
 from groundstation.learn.information import Choice, Information, choose, information_of
 from groundstation.learn.journal import Flown
 from groundstation.learn.manoeuvres import FlightPlan, Limits, library

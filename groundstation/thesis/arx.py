@@ -8,17 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.dynamics.model import ArxAxis, arx_ahead, model_vehicle, rotor_motors
-from groundstation.identification.arx.data import ArxData, arx_data
-from groundstation.identification.arx.fit import (
+from groundstation.identification.arx.workflow import (
     WINDOW_S,
     ArxCandidate,
+    ArxData,
     ArxSearch,
+    arx_data,
     free_run_rms,
     residuals,
     search_arx,
     step_response,
 )
-from groundstation.identification.arx.residual_tests import cross_correlation_test
+from groundstation.identification.estimate import cross_correlation_test
 from groundstation.identification.fit_record import liveliest
 from groundstation.report.page import Cell
 from groundstation.thesis.drawing import both_steps, correlation, overlay

@@ -10,7 +10,7 @@ import numpy as np
 from groundstation.dynamics.model import THESIS, Model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.fit_record import liveliest
-from groundstation.identification.replayed import angle_rms, simulate_run
+from groundstation.identification.report import angle_rms, simulate_run
 from groundstation.report.page import Cell
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.thesis.drawing import overlay

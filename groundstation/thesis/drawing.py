@@ -22,7 +22,7 @@ from groundstation.telemetry.arrays import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from groundstation.identification.arx.residual_tests import CorrelationTest
+    from groundstation.identification.estimate import CorrelationTest
 
 LOST = (-3.0, 5.0)
 """A response over its step that leaves these bounds is not drawn further."""

@@ -8,10 +8,9 @@ import numpy as np
 
 from groundstation.dynamics.model import model_vehicle, rotor_motors
 from groundstation.dynamics.simulation import armature_mv
+from groundstation.identification.division import Stretch, stretches_of
 from groundstation.identification.fit_record import liveliest
-from groundstation.identification.runs import Run
-from groundstation.identification.stretches import Stretch, stretches_of
-from groundstation.identification.torque import rotor_squares
+from groundstation.identification.runs import Run, rotor_squares
 from groundstation.report.page import against, lines
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.thesis.entry import Entry, Made

@@ -8,9 +8,8 @@ import numpy as np
 
 from groundstation.dynamics.model import THESIS
 from groundstation.dynamics.simulation import armature_mv
-from groundstation.identification.airborne import turning_parts
-from groundstation.identification.motor.fit import bench_run, simulate_run
-from groundstation.identification.motor.rotor_speed import speed_from_gate
+from groundstation.identification.flight import turning_parts
+from groundstation.identification.motor.fit import bench_run, simulate_run, speed_from_gate
 from groundstation.identification.runs import Run
 from groundstation.report.page import Cell, lines, points
 from groundstation.thesis.drawing import overlay

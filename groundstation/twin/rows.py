@@ -9,9 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from groundstation.errors import BadInputError
-from groundstation.identification.recordings import LONGEST_GAP_S
-from groundstation.identification.runs import FASTEST_HZ, both_settings
-from groundstation.identification.supply_answer import SupplyAnswer, at_the_rows_voltage
+from groundstation.identification.runs import (
+    FASTEST_HZ,
+    LONGEST_GAP_S,
+    SupplyAnswer,
+    at_the_rows_voltage,
+    both_settings,
+)
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch, filled

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from groundstation.comparison.autoregression import estimate_noise
-from groundstation.identification.arx.residual_tests import whiteness_test
+from groundstation.identification.estimate import whiteness_test
 
 
 def coloured(a, rows=20000, seed=0, spread=0.3):

@@ -10,7 +10,7 @@ from groundstation.comparison.consistency import broken_rotor_sensors, require_c
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.recordings import without_gaps
+from groundstation.identification.runs import without_gaps
 from support.flights import BASE
 from support.flights import compared as flights
 
@@ -105,7 +105,7 @@ def test_a_gain_that_a_lasting_torque_made_small_is_no_other_craft(flight):
 
 
 def test_a_rotor_sensor_that_does_not_follow_is_named(flight):
-    from groundstation.identification.torque import rotor_squares
+    from groundstation.identification.runs import rotor_squares
 
     speeds = np.sqrt(rotor_squares(without_gaps(flight), BASE.motor).end)
     assert broken_rotor_sensors(flight, BASE) == []

@@ -9,8 +9,8 @@ from groundstation.comparison.regimes import (
     motion_of,
     regimes_of,
 )
-from groundstation.identification.recordings import flights_of
-from groundstation.identification.velocity import velocity_of
+from groundstation.identification.flight import velocity_of
+from groundstation.identification.runs import flights_of
 from support.flights import BASE, CARRYING_GAINS, judged, recorded, truth_of
 from support.flights import compared as flights
 

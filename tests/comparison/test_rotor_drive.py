@@ -10,8 +10,8 @@ from groundstation.comparison import rotor_drive
 from groundstation.comparison.comparison import Judged, compare
 from groundstation.comparison.regimes import motion_of
 from groundstation.dynamics.model import EffectTerm, Estimate
-from groundstation.identification.airborne import flights_in
-from groundstation.identification.recordings import without_gaps
+from groundstation.identification.flight import flights_in
+from groundstation.identification.runs import without_gaps
 from support.flights import BASE, flown
 
 BEAT_HZ = 3.0

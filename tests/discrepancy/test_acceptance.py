@@ -17,8 +17,8 @@ from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.weight import Weight
-from groundstation.identification.body.certainty import open_delay_s
-from groundstation.identification.likelihood.parameters import VARIANTS
+from groundstation.identification.body.setup import open_delay_s
+from groundstation.identification.likelihood.motion import VARIANTS
 from groundstation.identification.likelihood.problem import Fit
 
 GYRO_Z, FORCE_Z = 2, 5

@@ -6,7 +6,7 @@ from groundstation.discrepancy.backward_step import drop_failing
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import VARIANTS, point_of
+from groundstation.identification.likelihood.motion import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from support.flights import BASE, flown
 

@@ -17,9 +17,9 @@ from groundstation.discrepancy.base_constants import (
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, point_of
+from groundstation.identification.likelihood.motion import BODY_KEYS, MOTOR_KEYS, point_of
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.recordings import flights_of
+from groundstation.identification.runs import flights_of
 from groundstation.recording.open_recording import open_recording
 from support.flights import BASE, flown
 

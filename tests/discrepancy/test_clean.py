@@ -10,7 +10,7 @@ import pytest
 from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import VARIANTS, point_of
+from groundstation.identification.likelihood.motion import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from support.flights import base_model
 from support.flights import searched as flights

@@ -16,9 +16,9 @@ from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.motion import point_of
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.recordings import flights_of
+from groundstation.identification.runs import flights_of
 from support.flights import BASE, base_model, flown
 from support.flights import searched as flights
 from support.flights import searched_samples as samples

@@ -14,7 +14,7 @@ from groundstation.discrepancy.evidence import (
     separated,
 )
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import VARIANTS, point_of
+from groundstation.identification.likelihood.motion import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.spectra import Noise, Spectrum
 from support.flights import BASE, flown

@@ -15,10 +15,8 @@ from groundstation.discrepancy.proof import FittedRows
 from groundstation.discrepancy.vibration import windows_of
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.motion import Frame, point_of, spin_rotors
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.rotors import spin_rotors
 from support.flights import base_model
 from support.flights import searched as flights
 

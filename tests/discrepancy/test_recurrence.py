@@ -10,7 +10,7 @@ from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.recurrence import asked_again, recurrences
 from groundstation.discrepancy.subsets import Subsets
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import VARIANTS, absent, point_of
+from groundstation.identification.likelihood.motion import VARIANTS, absent, point_of
 from groundstation.identification.likelihood.problem import Problem
 from support.flights import BASE, flown
 

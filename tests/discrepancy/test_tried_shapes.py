@@ -5,7 +5,7 @@ import pytest
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.screening import screen, started, tried
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import VARIANTS, point_of
+from groundstation.identification.likelihood.motion import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from support.flights import BASE, flown
 

@@ -17,8 +17,8 @@ from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.fleet.craft_search import CraftFlights, search_craft
 from groundstation.identification.body.fit import fit_body
-from groundstation.identification.recordings import bridged
-from groundstation.identification.stretches import stretches_of
+from groundstation.identification.division import stretches_of
+from groundstation.identification.runs import bridged
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import write_mcap
 from support.daemons import COMMAND, require_failure

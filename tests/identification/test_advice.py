@@ -4,7 +4,7 @@ import pytest
 
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.advice import advice_of, good_for, next_of
+from groundstation.identification.report import advice_of, good_for, next_of
 
 MODEL = vehicle_model(BUILT_IN["crazyflie21"])
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.identification.airborne import CONTACT_S, TAKE_OFF_S, airborne, flights_in
+from groundstation.identification.flight import CONTACT_S, TAKE_OFF_S, airborne, flights_in
 from groundstation.identification.runs import CHANNELS, Run
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 

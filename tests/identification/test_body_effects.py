@@ -7,9 +7,9 @@ from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.body.setup import FITTED
-from groundstation.identification.motor.supply import undo_supply
+from groundstation.identification.division import stretches_of
+from groundstation.identification.motor.workflow import undo_supply
 from groundstation.identification.runs import runs_of
-from groundstation.identification.stretches import stretches_of
 from support.flights import CARRYING_GAINS, recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
@@ -142,8 +142,8 @@ def test_supply_loss_and_a_lagging_report_bias_every_constant_and_can_be_undone(
 
 
 def test_what_is_left_of_a_faithful_flight_is_white():
-    from groundstation.identification.arx.residual_tests import whiteness_test
-    from groundstation.identification.body.validation import prediction_residuals
+    from groundstation.identification.body.workflow import prediction_residuals
+    from groundstation.identification.estimate import whiteness_test
 
     samples, _ = recorded(36.0, plant="faithful", seed=22, sensor={"shake": (0.0, 0.0, 0.0)})
     stretches = stretches_of(runs_of(samples), THESIS_MOTOR)

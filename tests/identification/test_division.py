@@ -8,9 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.dynamics.vehicle import MotorConstants
-from groundstation.identification.division import HELD, IN_PIECES, best_way, cut, divided, hold_out
+from groundstation.identification.division import (
+    HELD,
+    IN_PIECES,
+    best_way,
+    cut,
+    divided,
+    hold_out,
+    stretches_of,
+)
 from groundstation.identification.runs import CHANNELS, Run
-from groundstation.identification.stretches import stretches_of
 
 MOTOR = MotorConstants(1.33, 0.0052, 8e-5)
 PERIOD_S, SECONDS = 0.01, 90.0

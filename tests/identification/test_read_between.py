@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from groundstation.identification.read_between import (
+from groundstation.identification.flight import (
     angles_read_between,
     force_read_between,
     half_a_row_later,

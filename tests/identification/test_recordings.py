@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInputError
-from groundstation.identification.recordings import flights_of, flights_of_each, without_gaps
-from groundstation.identification.runs import TooShortError, runs_of
+from groundstation.identification.runs import (
+    TooShortError,
+    flights_of,
+    flights_of_each,
+    runs_of,
+    without_gaps,
+)
 from support.flights import recorded
 
 

@@ -9,7 +9,7 @@ import pytest
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
-from groundstation.identification.replayed import angle_rms, simulate_run
+from groundstation.identification.report import angle_rms, simulate_run
 from groundstation.identification.runs import runs_of
 from support.flights import recorded, truth_of
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.identification.results import no_results
+from groundstation.identification.fit_record import no_results
 
 VEHICLE = load_vehicle("crazyflie1")
 BEFORE = vehicle_model(VEHICLE)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.errors import BadInputError
-from groundstation.identification.airborne import turning_parts
+from groundstation.identification.flight import turning_parts
 from groundstation.identification.runs import runs_of
 from groundstation.telemetry.samples import empty_samples
 

@@ -4,14 +4,14 @@ import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
-from groundstation.identification.runs import runs_of
-from groundstation.identification.segments import (
+from groundstation.identification.division import stretches_of
+from groundstation.identification.runs import (
     EVERYTHING,
     Selection,
     parse_selection,
+    runs_of,
     selected,
 )
-from groundstation.identification.stretches import stretches_of
 from groundstation.telemetry.samples import spans
 from support.flights import recorded
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from groundstation.identification.flight import prepare
-from groundstation.identification.recordings import flights_of
-from groundstation.identification.speed_noise import speed_spectrum
+from groundstation.identification.flight import prepare, speed_spectrum
+from groundstation.identification.runs import flights_of
 from support.flights import recorded, truth_of
 
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.identification.recordings import flights_of
-from groundstation.identification.runs import runs_of
+from groundstation.identification.runs import flights_of, runs_of
 from groundstation.twin.rows import Rows
 from support.flights import recorded
 

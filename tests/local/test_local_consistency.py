@@ -14,7 +14,7 @@ from groundstation.comparison.consistency import require_consistent
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.recordings import flights_of
+from groundstation.identification.runs import flights_of
 from groundstation.recording.open_recording import open_recording
 
 DATA = os.environ.get("GROUNDSTATION_LOCAL_DATA")

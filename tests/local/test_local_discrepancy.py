@@ -20,8 +20,7 @@ from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.motor.workflow import identify_motor
-from groundstation.identification.recordings import flights_of, without_gaps
-from groundstation.identification.runs import runs_of
+from groundstation.identification.runs import flights_of, runs_of, without_gaps
 from groundstation.recording.open_recording import open_recording
 from support.daemons import COMMAND
 from support.programs import run_program

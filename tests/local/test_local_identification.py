@@ -12,12 +12,10 @@ import pytest
 from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.body.setup import on_other
-from groundstation.identification.body.validation import predicted_rates, validate_body
-from groundstation.identification.division import hold_out
-from groundstation.identification.motor.flown import rotor_runs
-from groundstation.identification.motor.rotors import fit_rotors, validate_rotor
+from groundstation.identification.body.workflow import predicted_rates, validate_body
+from groundstation.identification.division import hold_out, stretches_of
+from groundstation.identification.motor.rotors import fit_rotors, rotor_runs, validate_rotor
 from groundstation.identification.runs import runs_of
-from groundstation.identification.stretches import stretches_of
 from groundstation.recording.open_recording import open_recording
 
 DATA = os.environ.get("GROUNDSTATION_LOCAL_DATA")

@@ -9,7 +9,7 @@ from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.identification.motor.workflow import identify_motor
-from groundstation.identification.replayed import simulate_run
+from groundstation.identification.report import simulate_run
 from groundstation.identification.runs import runs_of
 from support.findings import findings, proof
 from support.flights import recorded

@@ -10,8 +10,7 @@ from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.comparison.comparison import compare
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
-from groundstation.identification.recordings import flights_of
-from groundstation.identification.runs import runs_of
+from groundstation.identification.runs import flights_of, runs_of
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 from groundstation.twin.twin import episodes_of

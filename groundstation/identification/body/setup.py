@@ -1,14 +1,11 @@
-"""What the body fit estimates: constants, effects named by the user, and nuisances.
-
-Nuisances are what every real flight has and a base model lacks. Left out, they bend the constants;
-kept in, they cost little certainty where they are absent. They stay out of the model: naming
-effects is the user's part (``--with``), or that of ``groundstation discrepancy``.
+"""What the body fit estimates (constants, effects named by the user, nuisances), and how
+certain it is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -19,19 +16,39 @@ from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle, mean_motor
 from groundstation.errors import BadInputError
-from groundstation.identification.attitude_rows import Gaps, attitude_rows
-from groundstation.identification.flight import Flight, is_force_between
-from groundstation.identification.likelihood.evaluation import Columns
-from groundstation.identification.likelihood.free_spectra import Limits, joined, without_upper_ends
-from groundstation.identification.likelihood.linearisation import Linear, linearise
-from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
+from groundstation.identification.division import Stretch
+from groundstation.identification.estimate import inverse
+from groundstation.identification.flight import (
+    Flight,
+    Gaps,
+    attitude_rows,
+    is_force_between,
+    speed_spectrum,
+    velocity_in,
+)
+from groundstation.identification.likelihood.evaluation import Columns, evaluate
+from groundstation.identification.likelihood.motion import MOTOR_KEYS, SENSOR_LAG, Point, value
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.residuals import evaluate
-from groundstation.identification.motor.supply import LAG, SAG
-from groundstation.identification.stretches import Stretch
-from groundstation.identification.velocity import velocity_in
+from groundstation.identification.likelihood.spectra import (
+    FreeFit,
+    Limits,
+    Linear,
+    fit_free,
+    joined,
+    linearise,
+    without_upper_ends,
+)
+from groundstation.identification.motor.workflow import LAG, SAG
+from groundstation.identification.runs import Run
 from groundstation.telemetry.arrays import Array
-from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.telemetry.packet import FULL_16_BIT, STANDARD_GRAVITY
+
+# What the body fit estimates: constants, effects named by the user, and nuisances.
+#
+# Nuisances are what every real flight has and a base model lacks. Left out, they bend the
+# constants; kept in, they cost little certainty where they are absent. They stay out of the
+# model: naming effects is the user's part (``--with``), or that of ``groundstation discrepancy``.
+
 
 GAINS = ("c0", "c1")
 CONSTANTS = (*GAINS, "c2")
@@ -313,3 +330,280 @@ def _slow_moments(flights: Sequence[Flight]) -> dict[str, list[Columns]]:
             column = flight.gaps.spread(columns[:, 1 - axis : 2 - axis])[:, 0]
             found[key].append({axis: column})
     return found
+
+
+# How certain the constants are: by the likelihood, by how much parts of the flights disagree, and
+# by how much an estimate moves with the band it is made in.
+
+
+Known = tuple[Point, Array]
+"""Estimates and their covariance (p, p)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Certainty:
+    """point: the estimates. covariance: (p, p) of all errors. moves: for c0, c1, c2 the largest
+    move between bands beyond chance. alone: (p,) variances by the likelihood alone."""
+
+    point: Point
+    covariance: Array
+    moves: dict[str, float]
+    alone: Array
+
+
+BANDS = ((1.0, 60.0), (0.3, 40.0), (2.0, 30.0))
+YAW_BANDS, DRAG_HZ = BANDS[:2], (0.3, 4.0)
+"""Hz. A constant of the craft is the same in all of them. Above some 2 Hz yaw answers to the change
+of the rotors' speeds, not to their drag: c2 is then what a wrong phase of that change leaves, and
+noisy speeds do not tell the phase."""
+STEERED_HZ, NARROWER_HZ = (2.0, 20.0), (4.0, 18.0)
+"""Hz. Below, torque answers to slow moments of the air and the balance; above, to vibration that
+the controller copies. In between the coherence of torque and acceleration is highest on real
+flights."""
+BLOCK_S, LEAST_BLOCKS, LEAST_FLIGHTS = 5.0, 8, 4
+"""Longer than what the spectra remember; scatter over fewer blocks says nothing."""
+AGAIN = (*CONSTANTS, "slow_moment", SPIN_UP, DELAY, SENSOR_LAG)
+"""Keys that are estimated again in each band: the delay and the sensor's lag too, which the fast
+part of a flight tells, and which bend the constants."""
+TELLS = 0.2
+"""Standard error over the value from which a band judges nothing."""
+CONTROL_HZ, SLOW = 500.0, 1.5
+"""At which the firmware of 2014 and today's set the motors, and from how many settings a row on a
+recorded one is not what was flown."""
+ALTERNATES = 1.0
+"""Standard error over the value of a c2 whose rows fold: what alternates about yaw from setting to
+setting is as large as what lasts (flights of the software craft: 0.7 to 1 times)."""
+HALF_WAY, MEANS = 0.05, 0.2
+"""Share of settings that lie so near half-way between two from which they are means: of those
+joined from other rates a tenth does."""
+MOTION_S = 0.05
+"""Means over so long are the craft's motion, not its vibration."""
+BY_CHANCE = 2.5
+"""Standard deviations by which blocks or bands may disagree before it counts."""
+ABOVE, NOISY = 1.5, 30.0
+"""Measured speeds tell too little above ``STEERED_HZ`` where within half as much again there is
+less than so many times the noise: noise in what is recorded bends a gain by its share, and 3 % is
+what a minute's flight tells."""
+
+
+def certain(setup: Setup, free: FreeFit, noisy: bool) -> Certainty:
+    """The estimates and how certain they are. noisy: whether what turns the rotors is not told.
+
+    All frequencies together know most, and are right in closed loop, where what drives the rotors
+    is known at each of them. Where noisy speeds or slow rows do not tell it, c0 and c1 are those of
+    ``STEERED_HZ``. A move counts as an error of its own beside the likelihood's: of c0 and c1 then
+    the one to ``NARROWER_HZ``, of c2 the one to ``DRAG_HZ``, too.
+    """
+    plain = inverse(free.normal)
+    covariance = _by_blocks(setup, free, plain)
+    moves = _moves(setup, free, covariance, noisy)
+    found = Certainty(free.point, covariance, moves, np.diag(plain).copy())
+    if noisy:
+        found = _steered(setup, free, found)
+    for key, move in found.moves.items():
+        found.covariance[setup.keys.index(key), setup.keys.index(key)] += move**2
+    return found
+
+
+def _steered(setup: Setup, free: FreeFit, whole: Certainty) -> Certainty:
+    """The same with the gains of ``STEERED_HZ``. One that this band does not tell stays, and is as
+    uncertain as it moves."""
+    gains = {key: setup.keys.index(key) for key in GAINS if key in setup.keys}
+    steered, narrower = (_in_band(setup, free, band) for band in (STEERED_HZ, NARROWER_HZ))
+    told = {key: i for key, i in gains.items() if _tells(steered, {key: i})}
+    left = max((abs(narrower[0][key] / steered[0][key] - 1.0) for key in told), default=0.0)
+    point, covariance, moves = dict(whole.point), whole.covariance, dict(whole.moves)
+    alone = whole.alone.copy()
+    for key, i in gains.items():
+        if key not in told:
+            moves[key] = max(moves[key], abs(steered[0][key] - point[key]))
+            continue
+        covariance[i] = covariance[:, i] = 0.0
+        covariance[i, i] = alone[i] = steered[1][i, i]
+        point[key], moves[key] = steered[0][key], left * abs(steered[0][key])
+    if setup.tied:
+        point["c1"] = point["c0"]
+    return Certainty(point, covariance, moves, alone)
+
+
+def blurred(flights: Sequence[Flight]) -> bool:
+    """Whether rotor speeds are measured ones that may not tell what is above ``STEERED_HZ``: more
+    than 1 / ``NOISY`` of it is noise, or readings so slow that noise cannot be told from motion.
+    """
+    if not all(one.rotor_measured for one in flights):
+        return False
+    fast, noise = 0.0, 0.0
+    for flight in flights:
+        seen = speed_spectrum(flight)
+        if seen.noise is None:
+            return True
+        above = (seen.hz > STEERED_HZ[1]) & (seen.hz < ABOVE * STEERED_HZ[1])
+        fast += float(np.mean(seen.power[above]))
+        noise += seen.noise
+    return fast < NOISY * noise
+
+
+def unseen(flights: Sequence[Flight]) -> bool:
+    """Whether rotors are driven by settings of the motors that no row shows."""
+    driven = not all(one.rotor_measured for one in flights)
+    return driven and any(unseen_delay_s(one.run) > 0.0 for one in flights)
+
+
+def _in_band(setup: Setup, free: FreeFit, band: tuple[float, float]) -> Known:
+    """The estimates of a band (Hz) and their covariance; all but ``AGAIN`` stays as it is."""
+    cut = setup.within(band)
+    still = [key for key in setup.keys if not key.startswith(AGAIN)]
+    point = free.linear.point if free.settled else free.point
+    values = np.array([value(point, key) for key in setup.keys])
+    limits = cut.limits().held(setup.keys, still, values)
+    start = cut.counted(free.linear) if free.settled else point
+    part = fit_free(cut.linearise, start, limits, white=False)
+    return part.point, _by_blocks(setup, part, inverse(part.normal))
+
+
+def is_fast(period_s: float) -> bool:
+    """Whether rows follow each other as fast as settings of the motors."""
+    return CONTROL_HZ * period_s < SLOW
+
+
+def open_delay_s(period_s: float) -> float:
+    """Delay that rows leave open: half of what a row is longer than a setting, 0 where it is none.
+
+    A craft answers a disturbance within a row that holds several settings, so these go with what
+    the row's own disturbance did: to a model that takes them as given before, all seems late.
+    """
+    return 0.0 if is_fast(period_s) else 0.5 * (period_s - 1.0 / CONTROL_HZ)
+
+
+def unseen_delay_s(run: Run) -> float:
+    """How much later than its row shows it a setting of the motors may have come, 0 where rows
+    show all of them: a row holds several, and which of them it shows says nothing of the others.
+    """
+    return 0.0 if settings_a_row(run) == 1.0 else run.period_s - 1.0 / CONTROL_HZ
+
+
+def settings_a_row(run: Run) -> float:
+    """How many settings of the motors stand behind each that a row holds, 1 where it is all there
+    are. Telemetry of today's craft may hold the mean of two (``links/log_rows.py``): it lies
+    half-way between the 65536 that there are."""
+    away = np.abs((run.duty * FULL_16_BIT) % 1.0 - 0.5) < HALF_WAY
+    told = np.isfinite(run.duty_step).all(axis=1).mean() > MEANS
+    settings = CONTROL_HZ * run.period_s / (2.0 if told or away.mean() > MEANS else 1.0)
+    return settings if settings >= SLOW else 1.0
+
+
+def folds(run: Run) -> bool:
+    """Whether what alternates from setting to setting looks like a lasting command: rows hold every
+    second setting, every fourth or so on, always of the same sense.
+
+    The alternation, half of ``CONTROL_HZ``, is sampled down to less than the lowest frequency that
+    tells c2 (``DRAG_HZ``). Nothing in such rows says how large it is.
+    """
+    if settings_a_row(run) < 0.99 * CONTROL_HZ * run.period_s:
+        return False  # all settings, or means of two: what alternates is in neither
+    alternates, rows_hz = 0.5 * CONTROL_HZ, 1.0 / run.period_s
+    return abs(alternates - round(alternates / rows_hz) * rows_hz) < DRAG_HZ[0]
+
+
+def between_rows(setup: Setup) -> dict[str, float]:
+    """Relative standard errors of the constants from settings of the motors that no row shows.
+
+    Setpoint, attitude and rate each come to the controller in steps of their own. The torque is the
+    small difference of what it makes of them, so one setting of several, always the same of each
+    turn, is not a sample of their mean: angles seem to come earlier or later than setpoints by up
+    to what lies between rows. The share of the torque that this is: the phase it makes at the
+    frequency at which the craft turns to and fro. About yaw the setting alternates (``folds``).
+    """
+    flights = setup.problem.flights
+    period, settings = flights[0].period_s, settings_a_row(flights[0].run)
+    if flights[0].rotor_measured or settings == 1.0:
+        return {}
+    width = max(round(MOTION_S / period), 1)
+    turned, rate = np.zeros(3), np.zeros(3)
+    for flight in flights:
+        rows = flight.run.gyro[flight.rows]
+        sums = np.vstack([np.zeros(3), np.cumsum(rows - rows.mean(axis=0), axis=0)])
+        means = (sums[width:] - sums[:-width]) / width
+        turned += (((means[width:] - means[:-width]) / (width * period)) ** 2).sum(axis=0)
+        rate += (means**2).sum(axis=0)
+    phase = (settings - 1.0) / CONTROL_HZ * np.sqrt(turned / rate)
+    yaw = {"c2": ALTERNATES} if folds(flights[0].run) else {}
+    return {"c0": float(phase[0]), "c1": float(phase[1]), **yaw}
+
+
+def _by_blocks(setup: Setup, free: FreeFit, plain: Array) -> Array:
+    """The covariance, each parameter stretched by as much as blocks of time, or whole flights,
+    scatter more than the likelihood says (a sandwich estimate, where it is certain)."""
+    scores = _scores(setup, free)
+    flights = sorted({flight for flight, _ in scores})
+    groups = [
+        np.array(list(scores.values())),
+        np.array([sum(v for (f, _), v in scores.items() if f == flight) for flight in flights]),
+    ]
+    stretch = np.ones(len(plain))
+    for group, least in zip(groups, (LEAST_BLOCKS, LEAST_FLIGHTS), strict=True):
+        if len(group) >= least:
+            ratio = ((group @ plain) ** 2).sum(axis=0) / np.diag(plain)
+            chance = 1.0 + BY_CHANCE * np.sqrt(2.0 / len(group))
+            stretch = np.maximum(stretch, np.sqrt(np.where(ratio > chance, ratio, 1.0)))
+    return plain * np.outer(stretch, stretch)
+
+
+def _scores(setup: Setup, free: FreeFit) -> dict[tuple[int, int], Array]:
+    """Derivative (p,) of log L by flight and block of time: whitened series, multiplied row by
+    row."""
+    from scipy.fft import irfft
+
+    sums: dict[tuple[int, int], Array] = {}
+    for s, power, left in zip(free.linear.spectra, free.powers, free.left, strict=True):
+        flight = setup.problem.flights[s.flight]
+        size = round(1.0 / (s.hz[1] * s.period_s))
+        energy = 0.5 * s.weight.max() * size
+        inside = np.vstack([left, s.columns]) * (s.weight > 0.0)
+        real, imaginary = np.split(inside, 2, axis=1)
+        white = irfft((real + 1j * imaginary) * np.sqrt(energy / power), size, axis=1)
+        rows = np.arange(flight.last - flight.first)
+        count = max(1, round(len(rows) * s.period_s / BLOCK_S))
+        for number, part in enumerate(np.array_split(rows, count)):
+            score = sums.setdefault((s.flight, number), np.zeros(len(free.keys)))
+            score[s.place] += white[1:, part] @ white[0, part]
+    return sums
+
+
+def _moves(setup: Setup, free: FreeFit, covariance: Array, noisy: bool) -> dict[str, float]:
+    """How far c0, c1, c2 move with the band where that is beyond chance, otherwise 0.
+
+    Rotors, their sensor and the joining of rows are the same for roll and pitch: what is wrong
+    with them bends both alike, and may show in the one that is flown more.
+    """
+    places = {key: setup.keys.index(key) for key in CONSTANTS if key in setup.keys}
+    gains = {key: i for key, i in places.items() if key in GAINS}
+    drag = {"c2": places["c2"]}
+    share, yaw = 0.0, 0.0
+    slow = not is_fast(setup.problem.flights[0].period_s)
+    for band in (*BANDS, STEERED_HZ, NARROWER_HZ) if slow else BANDS:
+        part = _in_band(setup, free, band)
+        share = max(share, _share((free.point, covariance), part, gains))
+        if band in YAW_BANDS:
+            yaw = max(yaw, _share((free.point, covariance), part, drag))
+    if noisy:
+        yaw = max(yaw, _share((free.point, covariance), _in_band(setup, free, DRAG_HZ), drag))
+    return {key: abs(free.point[key]) * (share if key in gains else yaw) for key in places}
+
+
+def _share(one: Known, other: Known, places: Mapping[str, int]) -> float:
+    """By which share the estimates of a band differ from those with more of the flights, at most;
+    0 where that is chance, or where the band does not tell."""
+    found = [0.0]
+    for key, i in places.items():
+        (now, variance), (there, inside) = ((p[key], c[i, i]) for p, c in (one, other))
+        chance = BY_CHANCE * np.sqrt(max(inside - variance, 0.2 * variance))
+        if _tells(other, {key: i}) and abs(there - now) > chance:
+            found.append(abs(there - now) / max(abs(now), 1e-300))
+    return float(max(found))
+
+
+def _tells(one: Known, places: Mapping[str, int]) -> bool:
+    """Whether a band knows all these well enough to judge by them."""
+    point, covariance = one
+    return all(covariance[i, i] <= (TELLS * point[key]) ** 2 for key, i in places.items())

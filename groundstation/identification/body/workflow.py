@@ -1,7 +1,8 @@
-"""From flights to a model with its body and the effects fitted along."""
+"""From flights to a model with its body, and how well that predicts flights it has not seen."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -12,17 +13,17 @@ from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_moto
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP, at_stage
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import between_rows, unseen
-from groundstation.identification.body.fit import BodyFit, fit_body, vertical
-from groundstation.identification.body.judgement import EVERY_SETTING
-from groundstation.identification.body.setup import FIT_WITH, SUPPLY_EFFECTS, on_other
-from groundstation.identification.body.validation import (
-    SHAKEN_S,
-    predicted_rates,
-    prediction_residuals,
-    validate_body,
+from groundstation.identification.body.fit import EVERY_SETTING, BodyFit, fit_body, vertical
+from groundstation.identification.body.setup import (
+    FIT_WITH,
+    SUPPLY_EFFECTS,
+    Setup,
+    between_rows,
+    on_other,
+    unseen,
 )
-from groundstation.identification.division import divided
+from groundstation.identification.division import Stretch, divided, paced, quicker, stretches_of
+from groundstation.identification.estimate import fit_percent, rms
 from groundstation.identification.fit_record import (
     TOLD,
     Evidence,
@@ -39,20 +40,177 @@ from groundstation.identification.fit_record import (
     unit_of,
     with_effects,
 )
-from groundstation.identification.likelihood.on_board import (
-    ON_BOARD,
-    filter_terms,
-    filters_of,
+from groundstation.identification.likelihood.motion import ALONG, SENSOR_LAG, Point
+from groundstation.identification.likelihood.problem import ON_BOARD, filter_terms, filters_of
+from groundstation.identification.likelihood.spectra import minimum_phase_whitener
+from groundstation.identification.motor.workflow import (
+    SAG,
+    SupplyEstimate,
+    flight_preparation,
+    supply_terms,
+    undo_supply,
 )
-from groundstation.identification.likelihood.parameters import ALONG, SENSOR_LAG
-from groundstation.identification.motor.supply import SAG, SupplyEstimate, supply_terms, undo_supply
-from groundstation.identification.preparation import flight_preparation
-from groundstation.identification.runs import Run
-from groundstation.identification.segments import EVERYTHING, Selection
-from groundstation.identification.stretches import Stretch, paced, quicker, stretches_of
-from groundstation.identification.torque import by_saturation
+from groundstation.identification.runs import EVERYTHING, Run, Selection, by_saturation
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+# What past errors of a body model foretell of those to come: trim, air, noise of the sensor.
+#
+# The sum of the next rows' errors is regressed on fading memories of the errors up to now. Flights
+# differ in what they foretell (air, speed, balance), so the weights start as those of the flights
+# that were fitted and are learnt on, every half a second, from the flight's own past; no row of
+# the future counts.
+
+
+Learnt = tuple[Array, Array]
+"""Normal matrix (m, m) and right-hand side (m,) of the regression, sums over rows."""
+
+MEMORIES_S = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 2.0)
+"""Fading times; the first is the last row alone."""
+EVERY_S = 0.5
+FITTED_S = 2.0
+"""The flights that were fitted count as so much of the flight's own past."""
+RIDGE = 1e-4
+"""Memories of similar length are alike."""
+
+
+def learnt(series: Sequence[Array], rows: int, period_s: float) -> Learnt:
+    """What whole flights' errors (n,) show, as ``FITTED_S`` of one flight."""
+    size = len(MEMORIES_S)
+    normal, score, seen = np.zeros((size, size)), np.zeros(size), 0
+    for errors in series:
+        memories, sums = _memories(errors, rows, period_s), _sums(errors, rows)
+        normal += memories.T @ memories
+        score += memories.T @ sums
+        seen += len(sums)
+    share = FITTED_S / (max(seen, 1) * period_s)
+    return share * normal, share * score
+
+
+def foretold(errors: Array, rows: int, period_s: float, before: Learnt) -> Array:
+    """Sums (n + 1 - rows,) of the next ``rows`` errors, as they are expected before each of them
+    (n,), and after the last that has as many to come."""
+    memories, sums = _memories(errors, rows, period_s), _sums(errors, rows)
+    normal, score = before
+    block = max(1, round(EVERY_S / period_s))
+    made = np.zeros(len(sums))
+    for first in range(0, len(sums), block):
+        made[first : first + block] = memories[first : first + block] @ _solved(normal, score)
+        # By the next block these sums are over.
+        over = slice(max(0, first - rows), max(0, first + block - rows))
+        normal = normal + memories[over].T @ memories[over]
+        score = score + memories[over].T @ sums[over]
+    return made
+
+
+def _solved(normal: Array, score: Array) -> Array:
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0.0] = 1.0
+    ridge = RIDGE * np.eye(len(score))
+    return np.linalg.solve(normal / np.outer(scale, scale) + ridge, score / scale) / scale
+
+
+def _sums(errors: Array, rows: int) -> Array:
+    total = np.concatenate([[0.0], np.cumsum(errors)])
+    return total[rows:] - total[:-rows]
+
+
+def _memories(errors: Array, rows: int, period_s: float) -> Array:
+    """Fading means (n + 1 - rows, m) of the errors before each row, for as many as have
+    ``rows`` to come."""
+    from scipy.signal import lfilter
+
+    found = np.zeros((len(errors) + 1, len(MEMORIES_S)))
+    for i, memory in enumerate(MEMORIES_S):
+        keep = math.exp(-period_s / memory) if memory else 0.0
+        found[1:, i] = lfilter([1.0 - keep], [1.0, -keep], errors)
+    return found[: len(errors) + 1 - rows]
+
+
+# How well a body model predicts flights it has not seen.
+
+
+HORIZONS_S = (0.02, 0.05)
+SHAKEN_S = 0.05
+"""The rotors shake the accelerometer by many times what the craft does: means are compared."""
+
+
+def validate_body(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float]:
+    """Held-out figures: per axis the RMS errors at one row, 20 and 50 ms (rad/s) and the fit %
+    at 20 and 50 ms, and both for the vertical specific force (m/s^2, means over 50 ms). They are
+    those of the model that is saved: what was fitted along and left out does not help it."""
+    figures: dict[str, float] = {}
+    setup = on_other(fit.setup, stretches)
+    for horizon in (0.0, *HORIZONS_S):
+        label = f"{horizon * 1e3:.0f}ms" if horizon else "1row"
+        pairs = predicted_rates(fit, setup, fit.saved, horizon)
+        measured = np.vstack([one for one, _ in pairs])
+        modelled = np.vstack([other for _, other in pairs])
+        for axis, name in enumerate(AXES):
+            figures[f"gyro_{name}_rms_{label}"] = rms(measured[:, axis] - modelled[:, axis])
+            if horizon:
+                figures[f"gyro_{name}_fit_percent_{label}"] = fit_percent(
+                    measured[:, axis], modelled[:, axis]
+                )
+    measured, squares = vertical(setup, fit.saved)
+    rows = max(1, round(SHAKEN_S / stretches[0].run.period_s))
+    if len(measured) >= 2 * rows:
+        measured, squares = (_means(one, rows) for one in (measured, squares))
+        modelled = fit.body.thrust_per_mass * squares
+        figures["accelerometer_z_rms"] = rms(measured - modelled)
+        figures["accelerometer_z_fit_percent"] = fit_percent(measured, modelled)
+    return figures
+
+
+def predicted_rates(
+    fit: BodyFit, setup: Setup, point: Point, horizon_s: float = 0.0
+) -> list[tuple[Array, Array]]:
+    """(measured, predicted) rates (k, 3) in rad/s of each flight, predicted ``horizon_s`` before.
+
+    A prediction starts at a measured rate and knows nothing of the future but the motors' inputs:
+    the air's moment stays as it is, and what has turned the craft beside the model goes on as
+    the errors of the past foretell (``foretelling``). The shortest horizon is one row, the first
+    prediction belongs to row ``horizon``.
+    """
+    period = setup.problem.flights[0].period_s
+    rows = max(1, round(horizon_s / period))
+    fitted = fit.setup.residuals(point)
+    before = [learnt([one[:, axis] for one in fitted], rows, period) for axis in range(3)]
+    found = []
+    lasting, residuals = setup.slow_moments(point), setup.residuals(point)
+    for flight, left, slow in zip(setup.problem.flights, residuals, lasting, strict=True):
+        measured = flight.run.gyro[flight.first - 1 : flight.last]
+        expected = np.column_stack(
+            [foretold(left[:, axis], rows, period, before[axis]) for axis in range(3)]
+        )
+        expected += rows * np.vstack([slow[:1], slow[:-1]])[: len(expected)]
+        sums = np.vstack([np.zeros(3), np.cumsum(left + slow, axis=0)])
+        wrong = sums[rows:] - sums[:-rows] - expected
+        found.append((measured[rows:], measured[rows:] - period * wrong))
+    return found
+
+
+def prediction_residuals(stretch: Stretch, fit: BodyFit) -> Array:
+    """One-step errors (n, 3) of a fit, whitened by the mean spectrum of the flights it was made
+    on, in standard deviations; the first rows are NaN, all where the stretch is shorter than the
+    whitener."""
+    (left,) = on_other(fit.setup, [stretch]).residuals(fit.point)
+    out = np.full(left.shape, np.nan)
+    for axis in range(3):
+        whitener = minimum_phase_whitener(fit.free, axis)
+        if len(left) >= len(whitener):  # numpy exchanges the two where it is shorter
+            out[len(whitener) - 1 :, axis] = np.convolve(left[:, axis], whitener, "valid")
+    return out
+
+
+def _means(values: Array, rows: int) -> Array:
+    """Means over blocks of so many rows."""
+    whole = len(values) // rows * rows
+    return values[:whole].reshape(-1, rows).mean(axis=1)
+
+
+# From flights to a model with its body and the effects fitted along.
+
 
 AHEAD_S, DRAWN_S = 0.02, 3.0
 KNOCK_G = 4.0

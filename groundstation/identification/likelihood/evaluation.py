@@ -1,37 +1,55 @@
-"""One flight at one point: how the model moves on its rows, and what the sensors make of it.
-
-The model is the laws of the effects that act (``dynamics/effects``) on rows of motion, gyro and
-accelerometer in body axes. Whatever multiplies a rate or a velocity uses one that was predicted
-from earlier rows.
+"""One flight at one point of the search: how the model moves, what its sensors show, what is
+left over.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from groundstation.dynamics.effect import SPIN, Craft, Stage
-from groundstation.identification.attitude_rows import FIRMWARE_GAIN
-from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.laws import Acting, in_order
-from groundstation.identification.likelihood.motion import BodyRows, Inputs, Motion, stacked
-from groundstation.identification.likelihood.parameters import TIMING
-from groundstation.identification.likelihood.rotors import Rotors, spin_rotors
+from groundstation.dynamics.effect import SPIN, Craft, Key, Stage
+from groundstation.identification.flight import FIRMWARE_GAIN, Flight, mean_between
+from groundstation.identification.likelihood.motion import (
+    BODY_KEYS,
+    MOTOR_KEYS,
+    SENSOR_LAG,
+    STILL,
+    TIMING,
+    Acting,
+    BodyRows,
+    Frame,
+    Inputs,
+    Motion,
+    Rotors,
+    acting,
+    before,
+    in_order,
+    spin_rotors,
+    stacked,
+    value,
+)
 from groundstation.identification.likelihood.sensing import (
     FORCES,
     RATES,
     Moving,
     Passing,
     Sensors,
+    passed,
 )
-from groundstation.identification.read_between import mean_between
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+# One flight at one point: how the model moves on its rows, and what the sensors make of it.
+#
+# The model is the laws of the effects that act (``dynamics/effects``) on rows of motion, gyro and
+# accelerometer in body axes. Whatever multiplies a rate or a velocity uses one that was predicted
+# from earlier rows.
+
 
 Columns = dict[int, Array]
 """Channel (0..8 as in ``comparison.channels``) -> rows."""
@@ -286,3 +304,300 @@ class Evaluation:
 def attitude_gain(effects: Sequence[Acting]) -> float:
     """Proportional gain of an attitude filter, 1/s."""
     return float(sum(one.law()[0] for one in effects))
+
+
+# What each unknown would add to a flight's residuals: differences of the model's laws over a step.
+#
+# The result of every column is d model / d key, on the channels that it reaches.
+
+
+BASE_STEPS = {"a0": 1e-3, "a1": 1e-3, "a2": 1e-2} | dict.fromkeys(BODY_KEYS, 1e-4)
+"""Steps of the differences, over the constant."""
+SENSOR_STEP_S = 1e-3
+
+
+def column(at: Evaluation, key: str) -> Columns:
+    """The column of an unknown at the evaluation's point."""
+    out: Columns = {}
+    stage = at.stage(key)
+    if key == TIMING:
+        rows = at.rows_of_attitude
+        if rows is not None:
+            at.put_attitude(out, rows.euler_rates(rows.timing))
+    elif key in BODY_KEYS:
+        _craft_column(at, key, out)
+    elif key == SENSOR_LAG:
+        _rotors_column(at, key, SENSOR_STEP_S, out)
+    elif key in MOTOR_KEYS:
+        if at.point[key] != 0.0:
+            _rotors_column(at, key, BASE_STEPS[key] * at.point[key], out)
+    else:
+        one = at.frame.unknowns[key]
+        if stage in ("supply", "motor"):
+            toward = one.parameter.to_unknown(one.parameter.default) - one.absent
+            _rotors_column(at, key, math.copysign(one.step, toward), out)
+        else:
+            columns = {
+                "delay": _delay_column,
+                "rotor": _rotor_column,
+                "body": _body_column,
+                "sensor": _sensor_column,
+                "attitude": _attitude_column,
+            }
+            columns[str(stage)](at, out, *both_sides(at, one))
+    return out
+
+
+def both_sides(at: Evaluation, one: Key) -> tuple[Moved, Moved, float]:
+    """Effects on both sides of an unknown's value, or on that which its bounds allow, and
+    how far they are apart. Of a sensor, whose law is as good as straight, above the value and at
+    it, where it is evaluated."""
+    now, variant = value(at.point, one.key), at.frame.variants[one.key]
+    here = at.stage(one.key) == "sensor" or now - one.step < one.bounds[0]
+    low = now if here else now - one.step
+    high = now + one.step
+    ends = (
+        {variant.label: acting(variant.unknowns, {**at.point, one.key: end})} for end in (high, low)
+    )
+    return next(ends), next(ends), high - low
+
+
+def _put_change(at: Evaluation, out: Columns, high: Bodies, low: Bodies, step: float) -> None:
+    """Store the difference of two models over a step."""
+    for part in at.parts:
+        rows = _change(at, part, high, low, step)
+        if rows is not None:
+            at.put(part, out, at.as_read(part, rows), step)
+
+
+def _change(at: Evaluation, part: slice, high: Bodies, low: Bodies, step: float) -> Array | None:
+    """The difference (n, 3) of two models over a step, as it is read; None: they are one."""
+    above, below = (both[0].angular if part == RATES else both[1].force for both in (high, low))
+    change = tuple((a - b) / step for a, b in zip(above, below, strict=True))
+    if not any(np.ndim(rows) or rows for rows in change):
+        return None
+    return at.sensors.answer(stacked(change, len(at.flight.run)), part, at.moving)
+
+
+def _craft_column(at: Evaluation, key: str, out: Columns) -> None:
+    """Above the value and at it: forces and torques are straight in these."""
+    step = BASE_STEPS[key] * at.point[key]
+    craft = at.frame.craft({**at.point, key: at.point[key] + step})
+    middle, row = at.model_rows(True, craft=craft), at.row
+    if FORCES in at.parts and craft.thrust != at.craft.thrust:
+        row = at.model_rows(False, craft=craft)
+    _put_change(at, out, (middle, row), (at.middle, at.row), step)
+
+
+def _rotors_column(at: Evaluation, key: str, step: float, out: Columns) -> None:
+    if at.flight.rotor_measured != (key == SENSOR_LAG):
+        return
+    moved = {**at.point, key: value(at.point, key) + step}
+    inputs = at.inputs_at(moved)
+    middle, row = at.model_rows(True, inputs=inputs), at.row
+    if FORCES in at.parts or at.sensors.effects:
+        row = at.model_rows(False, inputs=inputs)
+    moving, passing = at.sensed(middle, row)
+    angular, force = at.sensors.read(passing[-1], moving)
+    if RATES in at.parts:
+        at.put(RATES, out, (angular - at.angular_read) / step, step)
+    if FORCES in at.parts:
+        at.put(FORCES, out, at.as_read(FORCES, force - at.force_read) / step, step)
+
+
+def _delay_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
+    delays = (sum(one.law() for one in at.effects("delay", m)) for m in (high, low))
+    late, early = (at.bodies(inputs=Inputs.of(at.rotors, delay, at.period)) for delay in delays)
+    _put_change(at, out, late, early, step)
+
+
+def _rotor_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
+    above, below = (at.bodies(moved, body=()) for moved in (high, low))
+    _put_change(at, out, above, below, step)
+
+
+def _body_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
+    ends_of = (*high.values(), *low.values())
+    if any(one is not None and one.effect.order > 0 for one in ends_of):
+        # Its law reads what the effects before it add, which the rows' sum is not.
+        _put_change(at, out, at.bodies(high), at.bodies(low), step)
+        return
+    ends = []
+    for moved in (high, low):
+        bodies = []
+        for body, mean in ((at.middle, True), (at.row, False)):
+            angular, force = STILL, STILL
+            for one in moved.values():
+                if one is not None:
+                    angular, force = one.body_law(at.craft, body, at.period, mean)
+            bodies.append(body._replace(angular=angular, force=force))
+        ends.append((bodies[0], bodies[1]))
+    _put_change(at, out, ends[0], ends[1], step)
+
+
+def _sensor_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
+    """What a sensor shows otherwise, and what it then says of the craft's motion and attitude.
+    low: the effects as they are."""
+    if all(one is None for one in (*high.values(), *low.values())):
+        return  # the shape of an absent one
+    sensors, felt = at.sensors_with(high), at.felt
+    if not sensors.feel_alike(at.sensors):
+        felt = at.feel(sensors)
+    moved_bodies = _moved_by(at, sensors, felt)
+    for part, found in zip(at.parts, _shown_otherwise(at, high, low, step), strict=True):
+        if moved_bodies is not None:
+            more = _change(at, part, *moved_bodies, step)
+            found = more if found is None or more is None else found + more
+        if found is not None:
+            at.put(part, out, at.as_read(part, found), step)
+    if at.rows_of_attitude is not None and (felt is not at.felt or not sensors.alike(at.sensors)):
+        turned = at.turning(sensors, at.lean, felt.off)
+        at.put_attitude(out, (turned - at.turned) / step, step)
+
+
+def _shown_otherwise(at: Evaluation, high: Moved, low: Moved, step: float) -> list[Array | None]:
+    """How differently a sensor shows the same motion on both sides, over a step, (n, 3) of each
+    part; None where it does not."""
+    (label,) = high
+    one = high[label] or low[label]
+    assert one is not None
+    behind = sum(before(e, one) for e in at.sensors.effects)
+    after = behind + (at.there.get(label) is not None)
+    above, below = (
+        passed(moved[label], at.craft, at.passing[behind], at.moving) for moved in (high, low)
+    )
+    found: list[Array | None] = []
+    for part in at.parts:
+        a, b = (ends.angular if part == RATES else ends.force for ends in (above, below))
+        change = None
+        if a is not b:
+            rows = tuple((x - y) / step for x, y in zip(a, b, strict=True))
+            change = at.sensors.answer(stacked(rows, len(at.flight.run)), part, at.moving, after)
+        found.append(change)
+    return found
+
+
+def _moved_by(at: Evaluation, sensors: Sensors, felt: Felt) -> tuple[Bodies, Bodies] | None:
+    """The model where these sensors tell the velocity and the attitude that it answers to, and as
+    it is; None where it does not, or they tell the same."""
+    if felt is at.felt or not (at.effects("rotor") or at.effects("body")):
+        return None
+    motion = at.moves(sensors, felt).with_rates_of(at.motion)
+    return at.bodies(motion=motion), (at.middle, at.row)
+
+
+def _attitude_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
+    if at.rows_of_attitude is not None:
+        gains = (attitude_gain(at.effects("attitude", moved)) for moved in (high, low))
+        above, below = (at.turning(at.sensors, gain, at.felt.off) for gain in gains)
+        at.put_attitude(out, (above - below) / step, step)
+
+
+# What a model leaves unexplained in a flight, row by row, and what each unknown would add to it.
+#
+# One-step residuals, not free runs (docs/discrepancy.md has the equations):
+#
+# - gyro: mean angular acceleration between two rows, measured less modelled, rad/s^2;
+# - accelerometer: specific force, m/s^2;
+# - attitude, on its fresh rows: Euler rate less the kinematics of the measured gyro, rad/s;
+# - vertical: a flight's mean vertical specific force less 1 g, one number.
+
+
+MAKING_FORCE = (None, "supply", "motor", "rotor", "body")
+"""Stages that make the force itself, not how or when the accelerometer shows it."""
+
+
+@dataclass(slots=True)
+class Series:
+    """Residuals and columns of one flight at one point.
+
+    residual: channel -> rows. columns: key -> channel -> rows, d model / d key. vertical, lift:
+    (residual, {key: derivative}) of the flight's mean vertical specific force less 1 g, as
+    measured and as modelled, None without accelerometer or attitude. lasting: channel
+    -> (k, rows), what a moment that never changes does, of 1 rad/s^2, or offsets of the gyro's
+    axes, of 1 rad/s.
+    """
+
+    residual: Columns
+    columns: dict[str, Columns]
+    vertical: tuple[float, dict[str, float]] | None
+    lift: tuple[float, dict[str, float]] | None
+    lasting: Columns
+
+
+def evaluate(
+    flight: Flight,
+    frame: Frame,
+    point: Mapping[str, float],
+    keys: Sequence[str],
+    channels: Container[int] = range(9),
+) -> Series:
+    """Residuals of a flight at ``point`` and the columns of ``keys``.
+
+    channels: what is asked for; the vertical rows belong to the accelerometer's. A sensor of which
+    no channel is wanted is left out, one axis more of a wanted one may come along.
+    """
+    at = Evaluation(flight, frame, point, channels)
+    residual: Columns = {}
+    run = flight.run
+    if RATES in at.parts:
+        measured = np.diff(run.gyro, axis=0, prepend=run.gyro[:1]) / at.period
+        at.put(RATES, residual, measured - at.angular_read)
+    if FORCES in at.parts:
+        modelled = at.as_read(FORCES, at.force_read)
+        at.put(FORCES, residual, run.accelerometer - modelled)
+    lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
+    rows = at.rows_of_attitude
+    if rows is not None:
+        modelled = at.turning(at.sensors, at.lean, at.felt.off)
+        euler = rows.where_told(rows.rate - modelled)
+        residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
+        told = rows.where_told(rows.to_euler)
+        lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
+    columns = {key: column(at, key) for key in keys}
+    up = (_vertical(at, keys), _lift(at, columns)) if FORCES in at.parts else (None, None)
+    return Series(residual, columns, *up, lasting)
+
+
+def rate_errors(
+    flight: Flight, frame: Frame, point: Mapping[str, float], gains: Sequence[float]
+) -> Array:
+    """Mean squared one-step prediction errors (gains, 3) of the rates, (rad/s)^2."""
+    evaluation = Evaluation(flight, frame, point)
+    return np.array([evaluation.find_rates((gain, gain, gain)) for gain in gains])
+
+
+def generic_signals(flight: Flight, frame: Frame, point: Mapping[str, float]) -> dict[str, Array]:
+    """Signals (n,) that something unknown may go with: words -> values at every row."""
+    return Evaluation(flight, frame, point).generic()
+
+
+def _vertical(at: Evaluation, keys: Sequence[str]) -> tuple[float, dict[str, float]] | None:
+    """The mean vertical force as measured, less what the accelerometer adds, less 1 g."""
+    if at.flight.up is None:
+        return None
+    up, mean = at.flight.up
+    slopes: dict[str, float] = {}
+    for key in keys:
+        if at.stage(key) == "sensor":
+            high, _, step = both_sides(at, at.frame.unknowns[key])
+            change = at.sensors_with(high).offset - at.sensors.offset
+            slope = float(up @ change[FORCES]) / step
+            slopes |= {key: slope} if slope else {}
+    return mean - float(up @ at.sensors.offset[FORCES]) - STANDARD_GRAVITY, slopes
+
+
+def _lift(at: Evaluation, columns: Mapping[str, Columns]) -> tuple[float, dict[str, float]] | None:
+    """1 g less what the model says of the mean vertical force while airborne."""
+    if at.flight.up is None:
+        return None
+    up = at.flight.upward @ at.sensors.turn.T
+    _, force = at.sensors.in_body(at.angular_read, at.force_read, at.passing[-1], at.period)
+    mean = float(np.einsum("ni,ni->n", up, force[at.flight.rows]).mean())
+    up = up @ at.sensors.undo[FORCES, FORCES]
+    slopes = {
+        key: float(sum((up[:, c - 3] * v).mean() for c, v in rows.items() if 3 <= c < 6))
+        for key, rows in columns.items()
+        if at.stage(key) in MAKING_FORCE
+    }
+    return STANDARD_GRAVITY - mean, slopes

@@ -1,8 +1,4 @@
-"""Compiled loops of the search: rotors with what may be missing, and causal estimates of motion.
-
-Imported only where something is computed. Everything here looks at the past only: in closed loop
-a regressor that knows the present row's noise, or the future's, is taken for physics.
-"""
+"""Compiled loops of fits and search."""
 
 from __future__ import annotations
 
@@ -16,6 +12,11 @@ from groundstation.dynamics.chains import call_law
 from groundstation.dynamics.effect import STATE_SLOTS
 from groundstation.dynamics.kernels import runge_kutta
 from groundstation.dynamics.sensing import to_body, to_inertial
+
+# Compiled loops of the search: rotors with what may be missing, and causal estimates of motion.
+#
+# Imported only where something is computed. Everything here looks at the past only: in closed loop
+# a regressor that knows the present row's noise, or the future's, is taken for physics.
 
 
 @spliced
@@ -292,3 +293,150 @@ def late_rotors(
             rotor[j, i] = 0.5 * (now + before)
             slope[j, i] = (now - before) / period
             before = now
+
+
+# Compiled motor simulation with its sensitivities.
+
+
+@kernel
+def motor_sensitivities(
+    constants: Any, voltage: Any, period: float, start: float, speed: Any, sensitivity: Any
+) -> None:
+    """Runge-Kutta (order 4) on n' = a0 u - a1 n - a2 n^2 and on its derivatives, with
+    motor_dead_voltage, motor_coasting and motor_braking_asymmetry.
+
+    constants: a0, a1, a2, dead voltage (mV), share, factor. voltage: (k,) mV; row i acts from row
+    i - 1 to row i. Fills speed (k,) and sensitivity (k, 4 or 7): dn/da0, dn/da1, dn/da2, dn/dn(0)
+    and, where there is room, by the three effects.
+    """
+    a0, a1, a2 = constants[0], constants[1], constants[2]
+    dead, share, factor = constants[3], constants[4], constants[5]
+    n = start
+    columns = sensitivity.shape[1]
+    s = np.zeros(columns)
+    s[3] = 1.0
+    speed[0] = n
+    sensitivity[0] = s
+    m, slope, gain, g, f = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
+    flows, push = np.zeros(4), np.zeros(4)
+    h = period
+    for k in range(1, len(voltage)):
+        u = max(voltage[k] - dead, 0.0) if voltage[k] > 0.0 else 0.0
+        for i in range(4):
+            reach = 0.0 if i == 0 else (h if i == 3 else 0.5 * h)
+            m[i] = n + reach * slope[i - 1] if i else n
+            push[i] = a0 * u - a1 * m[i]
+            flows[i] = 1.0 - share if push[i] < 0.0 else 1.0
+            free = flows[i] * push[i] - a2 * m[i] * m[i]
+            gain[i] = factor if free < 0.0 else 1.0
+            slope[i] = gain[i] * free
+            g[i] = gain[i] * (flows[i] * a1 + 2.0 * a2 * m[i])
+        for j in range(columns):
+            for i in range(4):
+                if j == 0:
+                    f[i] = gain[i] * flows[i] * u
+                elif j == 1:
+                    f[i] = -gain[i] * flows[i] * m[i]
+                elif j == 2:
+                    f[i] = -gain[i] * m[i] * m[i]
+                elif j == 3:
+                    f[i] = 0.0
+                elif j == 4:
+                    f[i] = -gain[i] * flows[i] * a0 if u > 0.0 else 0.0
+                elif j == 5:
+                    f[i] = -gain[i] * min(push[i], 0.0)
+                else:
+                    f[i] = slope[i] / factor if slope[i] < 0.0 else 0.0
+            s[j] = _step(s[j], h, g[0], g[1], g[2], g[3], f[0], f[1], f[2], f[3])
+        n += h / 6.0 * (slope[0] + 2.0 * (slope[1] + slope[2]) + slope[3])
+        speed[k] = n
+        sensitivity[k] = s
+
+
+@spliced
+def _step(
+    s: float,
+    h: float,
+    g1: float,
+    g2: float,
+    g3: float,
+    g4: float,
+    f1: float,
+    f2: float,
+    f3: float,
+    f4: float,
+) -> float:
+    k1 = f1 - g1 * s
+    k2 = f2 - g2 * (s + 0.5 * h * k1)
+    k3 = f3 - g3 * (s + 0.5 * h * k2)
+    k4 = f4 - g4 * (s + h * k3)
+    return s + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+# Compiled free runs of many ARX structures over the same data.
+
+
+@kernel
+def free_run_errors(
+    orders: Any, a: Any, b: Any, inputs: Any, outputs: Any, window: int, first: int, sums: Any
+) -> None:
+    """Add each structure's sum of squared free-run errors over one run to ``sums`` (s,).
+
+    orders: (s, 3) na, nb, nk. a: (s, 4) and b: (s, 4), zero beyond the order. Every ``window``
+    rows from row ``first`` on, a run starts afresh from the measured outputs before it.
+    """
+    rows = len(inputs)
+    for s in range(len(orders)):
+        nb, nk = orders[s, 1], orders[s, 2]
+        a1, a2, a3, a4 = a[s, 0], a[s, 1], a[s, 2], a[s, 3]
+        total = 0.0
+        t = first
+        while t < rows:
+            y1, y2, y3, y4 = outputs[t - 1], outputs[t - 2], outputs[t - 3], outputs[t - 4]
+            for k in range(t, min(t + window, rows)):
+                y = -(a1 * y1 + a2 * y2 + a3 * y3 + a4 * y4)
+                for j in range(nb):
+                    y += b[s, j] * inputs[k - nk - j]
+                error = outputs[k] - y
+                total += error * error
+                y4, y3, y2, y1 = y3, y2, y1, y
+            t += window
+        sums[s] += total
+
+
+@kernel
+def steps_ahead(
+    a: Any, b: Any, nk: int, inputs: Any, outputs: Any, steps: int, first: int, predicted: Any
+) -> None:
+    """Fill predicted[t] with the prediction of outputs[t] from outputs up to t - ``steps``.
+
+    a: (4,), b: (nb,). Inputs are known up to t, as in any simulation.
+    """
+    a1, a2, a3, a4 = a[0], a[1], a[2], a[3]
+    for t in range(first + steps - 1, len(outputs)):
+        start = t - steps + 1
+        y1, y2 = outputs[start - 1], outputs[start - 2]
+        y3, y4 = outputs[start - 3], outputs[start - 4]
+        y = 0.0
+        for k in range(start, t + 1):
+            y = -(a1 * y1 + a2 * y2 + a3 * y3 + a4 * y4)
+            for j in range(len(b)):
+                y += b[j] * inputs[k - nk - j]
+            y4, y3, y2, y1 = y3, y2, y1, y
+        predicted[t] = y
+
+
+@kernel
+def step_turns_one_way(a: Any, b: Any, nk: int, settled: int, rows: int) -> bool:
+    """Whether the response to a unit step stays positive and never falls, from row ``nk`` +
+    ``settled`` on for ``rows`` rows after the delay. a: (4,), b: (nb,)."""
+    y1, y2, y3, y4 = 0.0, 0.0, 0.0, 0.0
+    drive = 0.0
+    for k in range(rows):
+        if k < len(b):
+            drive += b[k]
+        y = drive - (a[0] * y1 + a[1] * y2 + a[2] * y3 + a[3] * y4)
+        if k >= settled and (y <= 0.0 or (k > settled and y < y1)):
+            return False
+        y4, y3, y2, y1 = y3, y2, y1, y
+    return True

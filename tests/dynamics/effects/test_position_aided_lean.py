@@ -8,7 +8,7 @@ from groundstation.dynamics.effect import FAR_M, Body, Reading
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.motion import point_of
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.prediction.prediction import predict_ahead
 from groundstation.telemetry.packet import STANDARD_GRAVITY

@@ -6,21 +6,23 @@ import pytest
 from groundstation.dynamics.model import THESIS, ArxAxis, simulate_arx, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
-from groundstation.identification.airborne import turning_parts
-from groundstation.identification.arx.data import ArxData, arx_data, input_shows
-from groundstation.identification.arx.fit import (
+from groundstation.identification.arx.workflow import (
+    ArxData,
     Criterion,
+    arx_data,
     arx_estimates,
     free_run_rms,
+    identify_arx,
+    input_shows,
     plausible_step,
     prediction_rms,
     residuals,
     search_arx,
 )
-from groundstation.identification.arx.kernel import steps_ahead
-from groundstation.identification.arx.residual_tests import cross_correlation_test, whiteness_test
-from groundstation.identification.arx.workflow import identify_arx
 from groundstation.identification.division import hold_out
+from groundstation.identification.estimate import cross_correlation_test, whiteness_test
+from groundstation.identification.flight import turning_parts
+from groundstation.identification.likelihood.kernels import steps_ahead
 from groundstation.identification.runs import runs_of
 from support.flights import recorded
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from groundstation.identification.arx.residual_tests import cross_correlation_test, whiteness_test
+from groundstation.identification.estimate import cross_correlation_test, whiteness_test
 
 
 def test_white_noise_passes_nearly_always():

@@ -5,12 +5,11 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
-from groundstation.identification.body.certainty import blurred, certain
 from groundstation.identification.body.fit import fit_body
-from groundstation.identification.body.setup import set_up
-from groundstation.identification.likelihood.free_spectra import fit_free
+from groundstation.identification.body.setup import blurred, certain, set_up
+from groundstation.identification.division import stretches_of
+from groundstation.identification.likelihood.spectra import fit_free
 from groundstation.identification.runs import runs_of
-from groundstation.identification.stretches import stretches_of
 from support.flights import recorded, truth_of
 
 VEHICLE = BUILT_IN["crazyflie1"]

@@ -11,14 +11,13 @@ from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.identification.body.fit import fit_body, likeliest_that_turns
 from groundstation.identification.body.setup import on_other
-from groundstation.identification.body.validation import (
+from groundstation.identification.body.workflow import (
     predicted_rates,
     prediction_residuals,
     validate_body,
 )
-from groundstation.identification.division import divided
+from groundstation.identification.division import divided, stretches_of
 from groundstation.identification.runs import runs_of
-from groundstation.identification.stretches import stretches_of
 from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.identification.body.foretelling import foretold, learnt
+from groundstation.identification.body.workflow import foretold, learnt
 
 PERIOD_S, ROWS, SECONDS = 0.002, 25, 30.0
 SIZE = round(SECONDS / PERIOD_S)

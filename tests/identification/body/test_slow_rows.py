@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.body.certainty import folds, settings_a_row, unseen_delay_s
 from groundstation.identification.body.fit import fit_body
+from groundstation.identification.body.setup import folds, settings_a_row, unseen_delay_s
+from groundstation.identification.division import quicker, stretches_of
 from groundstation.identification.runs import CHANNELS, runs_of
-from groundstation.identification.stretches import quicker, stretches_of
 from support.flights import recorded
 
 WITH = ("dead_time", "rotor_acceleration_torque")

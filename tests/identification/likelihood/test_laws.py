@@ -8,9 +8,7 @@ from groundstation.dynamics.effect import Body, Effect, Parameter, Reading, Stat
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.laws import Acting
-from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.motion import Acting, Frame, point_of
 from groundstation.identification.likelihood.sensing import Moving, Passing, Sensors
 
 ROWS, PERIOD = 400, 0.002

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, lfilter
 
-from groundstation.identification.likelihood.linear_filters import (
+from groundstation.identification.likelihood.sensing import (
     FORCES,
     RATES,
     NearRest,

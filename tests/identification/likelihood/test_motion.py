@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.identification.likelihood.motion import Inputs
-from groundstation.identification.likelihood.rotors import Rotors
+from groundstation.identification.likelihood.motion import Inputs, Rotors
 
 PERIOD_S, HZ = 2e-3, 9.0
 

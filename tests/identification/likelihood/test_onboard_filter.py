@@ -13,13 +13,10 @@ from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.on_board import filters_of
-from groundstation.identification.likelihood.parameters import point_of
-from groundstation.identification.likelihood.problem import Problem
+from groundstation.identification.likelihood.motion import Frame, point_of
+from groundstation.identification.likelihood.problem import Problem, filters_of
 from groundstation.identification.likelihood.sensing import FORCES, Moving, Sensors
-from groundstation.identification.recordings import flights_of
-from groundstation.identification.runs import runs_of
+from groundstation.identification.runs import flights_of, runs_of
 from groundstation.prediction.prediction import predict_ahead
 from support.flights import CARRYING_GAINS, recorded
 

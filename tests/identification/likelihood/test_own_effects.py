@@ -9,7 +9,7 @@ import pytest
 
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
 from groundstation.errors import BadInputError
-from groundstation.identification.likelihood.parameters import (
+from groundstation.identification.likelihood.motion import (
     estimates_of,
     joined,
     model_of,

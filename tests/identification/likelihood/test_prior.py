@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, point_of
-from groundstation.identification.likelihood.prior import BODY_DOUBT, Prior, body_prior, prior_of
+from groundstation.identification.likelihood.motion import (
+    BODY_DOUBT,
+    BODY_KEYS,
+    MOTOR_KEYS,
+    Prior,
+    body_prior,
+    point_of,
+    prior_of,
+)
 from groundstation.identification.likelihood.problem import Problem
 from support.flights import BASE, flown
 

@@ -12,11 +12,8 @@ from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model, wi
 from groundstation.dynamics.simulation import armature_mv, simulate_motor, steady_rev_s
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.parameters import point_of
-from groundstation.identification.likelihood.rotors import spin_rotors
-from groundstation.identification.runs import Run
-from groundstation.identification.torque import rotor_squares
+from groundstation.identification.likelihood.motion import Frame, point_of, spin_rotors
+from groundstation.identification.runs import Run, rotor_squares
 from groundstation.prediction.drive import drive_run
 
 ROWS = 2500

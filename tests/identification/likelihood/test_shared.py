@@ -6,9 +6,9 @@ from groundstation.discrepancy.screening import settle, started
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import VARIANTS, point_of
+from groundstation.identification.likelihood.motion import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.recordings import flights_of
+from groundstation.identification.runs import flights_of
 from support.flights import CARRYING_GAINS, recorded
 
 INERTIA = 6e-8

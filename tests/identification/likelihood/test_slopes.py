@@ -5,10 +5,9 @@ import pytest
 
 from groundstation.dynamics.model import model_vehicle
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.parameters import BODY_KEYS, KEYS, point_of
+from groundstation.identification.likelihood.evaluation import evaluate
+from groundstation.identification.likelihood.motion import BODY_KEYS, KEYS, Frame, point_of
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.residuals import evaluate
 from support.flights import BASE, MEDIUM, flown
 
 HIDDEN = {name: MEDIUM[name] for name in ("rotor_drag", "velocity_moment", "dead_time")}

@@ -11,11 +11,9 @@ import pytest
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.parameters import point_of
-from groundstation.identification.likelihood.residuals import evaluate
-from groundstation.identification.likelihood.rotors import spin_rotors
-from groundstation.identification.recordings import flights_of
+from groundstation.identification.likelihood.evaluation import evaluate
+from groundstation.identification.likelihood.motion import Frame, point_of, spin_rotors
+from groundstation.identification.runs import flights_of
 from support.flights import CARRYING_GAINS, recorded, truth_of
 
 PROGRAMME = Path(__file__).parents[3] / "bench" / "sealed" / "programme.toml"

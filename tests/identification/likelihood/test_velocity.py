@@ -5,11 +5,9 @@ import pytest
 
 from groundstation.dynamics.model import model_vehicle
 from groundstation.dynamics.rotations import attitude_of_quaternion, rotation_matrix
-from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.parameters import point_of
-from groundstation.identification.likelihood.residuals import generic_signals
-from groundstation.identification.velocity import velocity_of
+from groundstation.identification.flight import prepare, velocity_of
+from groundstation.identification.likelihood.evaluation import generic_signals
+from groundstation.identification.likelihood.motion import Frame, point_of
 from support.flights import BASE, flown
 
 AXES = ("forward", "leftward", "upward")

@@ -10,15 +10,15 @@ from groundstation.dynamics.simulation import simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.motor.fit import (
+    MotorRun,
     bench_run,
     delay_in_words,
     fit_motor,
     simulate_run,
+    speed_from_gate,
     validate_motor,
 )
-from groundstation.identification.motor.problem import MotorRun
-from groundstation.identification.motor.rotor_speed import speed_from_gate
-from groundstation.identification.motor.supply import fit_motor_and_supply
+from groundstation.identification.motor.workflow import fit_motor_and_supply
 from groundstation.identification.runs import runs_of
 from support.flights import recorded, truth_of
 
@@ -200,7 +200,7 @@ def test_effects_of_the_motor_that_are_not_there_come_out_as_absent(stiff):
     ids=["no effect", "two", "three"],
 )
 def test_the_slopes_of_the_problem_are_those_of_its_simulation(effects):
-    from groundstation.identification.motor.problem import MotorProblem
+    from groundstation.identification.motor.fit import MotorProblem
 
     run = made_run(MotorConstants(0.9, 7.0, 0.006), seconds=2.0)
     problem = MotorProblem([run], tuple(effects))

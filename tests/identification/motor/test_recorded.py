@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.identification.motor.recorded import motor_runs
+from groundstation.identification.motor.workflow import motor_runs
 from support.flights import recorded
 
 

@@ -14,9 +14,13 @@ from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.simulation import armature_mv, simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.errors import BadInputError
-from groundstation.identification.motor.flown import rotor_runs
-from groundstation.identification.motor.rotor_problem import constants_of, shape_of
-from groundstation.identification.motor.rotors import fit_rotors, towards_mean
+from groundstation.identification.motor.rotors import (
+    constants_of,
+    fit_rotors,
+    rotor_runs,
+    shape_of,
+    towards_mean,
+)
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import Run
 
