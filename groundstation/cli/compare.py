@@ -26,7 +26,7 @@ from groundstation.cli.progress import shown, tell_found
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
-    from groundstation.comparison.localisation import Place
+    from groundstation.comparison.comparison import Place
     from groundstation.discrepancy.report_json import Gap
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings of flights.")

@@ -1,4 +1,6 @@
-"""A model against recordings: its prediction errors beside the noise floor of the same rows."""
+"""A model against recordings: prediction errors beside the noise floor, and where they
+disagree.
+"""
 
 from __future__ import annotations
 
@@ -7,29 +9,255 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
-from groundstation.comparison.consistency import require_consistent
-from groundstation.comparison.gap import (
-    FURTHER_EVERY_S,
-    FURTHER_S,
-    HORIZONS_S,
-    AheadErrors,
-    ahead_errors,
-    overall,
-    pooled_rms,
-)
-from groundstation.comparison.localisation import Place, where
-from groundstation.comparison.noise_floor import BlackBox, Floor, floor_errors, learn, prepare
-from groundstation.comparison.refusals import (
+import numpy as np
+
+from groundstation.comparison.consistency import (
+    driven_by_speeds,
     require_channels,
+    require_consistent,
     require_flight,
     require_predictions,
 )
-from groundstation.comparison.regimes import motion_of
-from groundstation.comparison.rotor_drive import driven_by_speeds
+from groundstation.comparison.gap import (
+    CHANNELS,
+    FURTHER_EVERY_S,
+    FURTHER_S,
+    HORIZONS_S,
+    PER_SI,
+    UNITS,
+    WHOLE,
+    AheadErrors,
+    ahead_errors,
+    motion_of,
+    overall,
+    pooled_rms,
+    regimes_of,
+)
+from groundstation.comparison.noise_floor import BlackBox, Floor, floor_errors, learn, prepare
 from groundstation.dynamics.model import Model, Turning, model_vehicle, require_body
 from groundstation.identification.runs import Run, without_gaps
 from groundstation.report.page import Result
 from groundstation.telemetry.arrays import Array
+
+# Where a model and recordings disagree: by channel and regime, by time, by frequency.
+
+
+BLOCK_S = 0.25
+"""Errors of one horizon forget each other within a fraction of this."""
+WORST_S, WINDOW_S = 2.0, 1.0
+"""What is drawn of a channel at its worst, and the windows in which errors are drawn over time."""
+LEAST_S = 0.5
+"""A regime that lasts less in all recordings together says nothing."""
+SPECTRUM_ROWS = 512
+LONGEST_GAP = 20
+"""Rows without a value that a spectrum bridges by zeros."""
+RATE_OF = dict(zip(CHANNELS[6:], CHANNELS[:3], strict=True))
+SHARE, LEAST = 0.25, 3.0
+"""An angle integrates its rate: it names a place only where the rate says much less, as it does
+where gyro and attitude disagree."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One channel in one regime.
+
+    rms, expected_rms: errors 20 and 50 ms ahead together, and what noise alone leaves, in
+    ``unit``. significance: excess of the squared error in standard deviations that the noise's
+    own energy has over as many rows. seconds: how long the regime lasted.
+    """
+
+    channel: str
+    regime: str
+    rms: float
+    expected_rms: float
+    unit: str
+    significance: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Where in time one channel is predicted worst: run index, first and last row, its excess."""
+
+    channel: str
+    run: int
+    first: int
+    last: int
+    excess: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """Power densities (m,) of one channel's errors at its shortest horizon, and of what a perfect
+    observer would leave of them (flat), in unit^2/Hz, over frequency_hz (m,)."""
+
+    channel: str
+    frequency_hz: Array
+    error: Array
+    expected: Array
+
+
+def where(
+    errors: Sequence[AheadErrors], floors: Sequence[Floor], most: int | None = None
+) -> list[Place]:
+    """Every channel in every regime, the most significant excess first.
+
+    errors: of the model on the runs; floors: what the black box leaves, in the same rows.
+    """
+    places = []
+    energy = [_energies(one, floor) for one, floor in zip(errors, floors, strict=True)]
+    deviation = _deviation(energy, errors)
+    regimes = [regimes_of(one.run, one.motion) for one in errors]
+    for regime in regimes[0]:
+        held = [masks[regime] for masks in regimes]
+        seconds = sum(
+            float(mask.sum()) * one.run.period_s for mask, one in zip(held, errors, strict=True)
+        )
+        if seconds < LEAST_S:
+            continue
+        for channel, name in enumerate(CHANNELS):
+            mine, noise, count = 0.0, 0.0, 0
+            for (error, floor), mask in zip(energy, held, strict=True):
+                known = mask & np.isfinite(error[:, channel]) & np.isfinite(floor[:, channel])
+                mine += float(error[known, channel].sum())
+                noise += float(floor[known, channel].sum())
+                count += int(known.sum())
+            if not count:
+                continue
+            size = deviation[channel] * np.sqrt(seconds / BLOCK_S)
+            excess = (mine - noise) / count * (seconds / BLOCK_S)
+            places.append(
+                Place(
+                    name,
+                    regime,
+                    float(np.sqrt(mine / count) * PER_SI[channel]),
+                    float(np.sqrt(noise / count) * PER_SI[channel]),
+                    UNITS[name],
+                    float(excess / size) if size > 0 else 0.0,
+                    seconds,
+                )
+            )
+    return _ranked(places)[:most]
+
+
+def _ranked(places: Sequence[Place]) -> list[Place]:
+    """The most significant first, but an angle behind the rate that already tells its error."""
+    rates = {(p.channel, p.regime): p.significance for p in places}
+
+    def key(place: Place) -> tuple[float, bool]:
+        rate = rates.get((RATE_OF.get(place.channel, ""), place.regime), 0.0)
+        follows = rate > max(SHARE * place.significance, LEAST)
+        told = min(place.significance, 0.99 * rate) if follows else place.significance
+        # Equal significance: the whole flight says less than a regime.
+        return -told, place.regime == WHOLE
+
+    return sorted(places, key=key)
+
+
+def worst_stretch(
+    errors: Sequence[AheadErrors], floors: Sequence[Floor], channel: str
+) -> Stretch | None:
+    """The stretch of ``WORST_S`` of a channel whose squared error exceeds the noise most."""
+    place = CHANNELS.index(channel)
+    best: Stretch | None = None
+    for number, (one, floor) in enumerate(zip(errors, floors, strict=True)):
+        error, noise = _energies(one, floor)
+        more = np.nan_to_num(error[:, place] - noise[:, place])
+        rows = max(1, min(round(WORST_S / one.run.period_s), len(more)))
+        total = np.cumsum(np.concatenate([[0.0], more]))
+        mean = (total[rows:] - total[:-rows]) / rows
+        first = int(np.argmax(mean))
+        if best is None or mean[first] > best.excess:
+            best = Stretch(channel, number, first, first + rows, float(mean[first]))
+    return best
+
+
+def over_time(errors: AheadErrors, floor: Floor) -> tuple[Array, Array]:
+    """(seconds (m,), error over noise (m, 9)) in windows of ``WINDOW_S``; NaN where not flown.
+
+    The noise is the channel's over the whole run: a window may be too quiet to tell its own.
+    """
+    error, noise = _energies(errors, floor)
+    rows = max(1, round(WINDOW_S / errors.run.period_s))
+    count = max(1, len(error) // rows)
+    usual = np.sqrt(_mean(noise, axis=0))
+    parts = error[: count * rows].reshape(count, -1, 9) if len(error) >= rows else error[None]
+    time = errors.run.time_s[0] + WINDOW_S * (np.arange(count) + 0.5)
+    return time, np.sqrt(_mean(parts, axis=1)) / usual
+
+
+def spectrum_of(
+    errors: Sequence[AheadErrors], floors: Sequence[Floor], channel: str
+) -> Spectrum | None:
+    """Spectra of one channel's errors at its shortest horizon, and of what noise leaves of them.
+
+    None where no stretch is long enough.
+    """
+    from scipy.signal import welch
+
+    place = CHANNELS.index(channel)
+    sums: list[Array] = []
+    weight = 0.0
+    frequency = np.zeros(0)
+    for one, floor in zip(errors, floors, strict=True):
+        step = int(one.step_rows[place])
+        known = np.flatnonzero(np.isfinite(one.step[:, place] + floor.step[:, place]))
+        if len(known) < SPECTRUM_ROWS:
+            continue
+        breaks = np.flatnonzero(np.diff(known) > LONGEST_GAP * step) + 1
+        for rows in np.split(known, breaks):
+            every = np.arange(rows[0], rows[-1] + 1, step)
+            if len(every) < SPECTRUM_ROWS:
+                continue
+            pair = np.stack([one.step[every, place], floor.step[every, place]]) * PER_SI[place]
+            frequency, power = welch(
+                np.nan_to_num(pair),
+                1.0 / (step * one.run.period_s),
+                nperseg=SPECTRUM_ROWS,
+                detrend=False,
+            )
+            sums.append(power * len(every) ** 2 / len(rows))
+            weight += len(every)
+    if not sums:
+        return None
+    mean = sum(sums[1:], sums[0]) / weight
+    # A perfect observer's errors are white.
+    expected = np.full(len(frequency), float(mean[1].mean()))
+    return Spectrum(channel, frequency, mean[0], expected)
+
+
+def _energies(errors: AheadErrors, floor: Floor) -> tuple[Array, Array]:
+    """Squared errors (n, 9), mean over the horizons, of the model and of the black box."""
+    mine = np.mean([np.square(one) for one in errors.horizons], axis=0)
+    noise = np.mean([np.square(one) for one in floor.horizons], axis=0)
+    return mine, noise
+
+
+def _deviation(energy: Sequence[tuple[Array, Array]], errors: Sequence[AheadErrors]) -> Array:
+    """Standard deviation (9,) of the noise's mean energy over one block."""
+    means = []
+    for (_, noise), one in zip(energy, errors, strict=True):
+        rows = max(1, round(BLOCK_S / one.run.period_s))
+        count = len(noise) // rows
+        if count:
+            means.append(_mean(noise[: count * rows].reshape(count, rows, 9), axis=1))
+    blocks = np.vstack(means) if means else np.zeros((1, 9))
+    found = np.zeros(9)
+    for channel in range(9):
+        values = blocks[np.isfinite(blocks[:, channel]), channel]
+        found[channel] = values.std() if len(values) > 1 else 0.0
+    return found
+
+
+def _mean(values: Array, axis: int) -> Array:
+    """Mean of the finite values, NaN where there is none."""
+    known = np.isfinite(values)
+    count = known.sum(axis=axis)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+
+# A model against recordings: its prediction errors beside the noise floor of the same rows.
 
 
 @dataclass(frozen=True, repr=False)

@@ -15,24 +15,344 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.comparison.autoregression import estimate_noise
 from groundstation.comparison.gap import (
     ACCELEROMETER,
     ATTITUDE,
     GYRO,
     AheadErrors,
+    Motion,
     pooled_rms,
 )
-from groundstation.comparison.generic_signals import Kind, Signals, signals_of
-from groundstation.comparison.noise_floor_fit import ChannelPredictor, fit_signals
 from groundstation.dynamics.rotations import euler_rates
-from groundstation.dynamics.vehicle import Configuration
+from groundstation.dynamics.simulation import armature_mv
+from groundstation.dynamics.vehicle import MIXERS, Configuration
+from groundstation.identification.flight import LEAK_S, velocity_of
+from groundstation.identification.runs import Run
 from groundstation.prediction.drive import fresh_rows
-from groundstation.telemetry.arrays import Array
+from groundstation.telemetry.arrays import AXES, Array
+
+# The noise model of a prediction-error fit: autoregressive, estimated from what is left over.
+#
+# e = A(q) v with white e: filtering data and regressors by A turns correlated errors v into
+# one-step prediction errors (thesis eq. 7.3-7.6 with H = 1/A). In closed loop this is what keeps
+# an estimate free of the noise that the controller feeds back.
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """whitener: (order + 1,) coefficients of A, the first 1. variance: of the white part."""
+
+    whitener: Array
+    variance: float
+
+
+def estimate_noise(pieces: Sequence[Array], most: int) -> NoiseModel:
+    """The autoregression behind residual pieces (n,), of the order that Akaike's rule likes.
+
+    Yule-Walker on autocovariances pooled over the pieces; orders 0..most.
+    """
+    total = sum(len(piece) for piece in pieces)
+    covariance = np.zeros(most + 1)
+    for piece in pieces:
+        size = 1 << int(np.ceil(np.log2(len(piece) + most + 1)))
+        spectrum = np.abs(np.fft.rfft(piece, size)) ** 2
+        covariance += np.fft.irfft(spectrum, size)[: most + 1]
+    covariance /= total
+    best, whitener = np.inf, np.ones(1)
+    for order, coefficients, variance in _levinson(covariance):
+        score = total * np.log(variance + 1e-300) + 2 * order
+        if score < best:
+            best, whitener, chosen = score, coefficients, variance
+    return NoiseModel(whitener, float(chosen))
+
+
+def _levinson(covariance: Array) -> list[tuple[int, Array, float]]:
+    """Levinson-Durbin: (order, A, innovation variance) for every order."""
+    a, variance = np.ones(1), float(covariance[0])
+    found = [(0, a, variance)]
+    for order in range(1, len(covariance)):
+        reflection = -float(a @ covariance[order:0:-1]) / variance
+        extended = np.concatenate([a, [0.0]])
+        a = extended + reflection * extended[::-1]
+        variance *= 1.0 - reflection**2
+        if variance <= 0.0:
+            break
+        found.append((order, a, variance))
+    return found
+
+
+# Generic signals of a flight: what a predictor that knows no physics of the craft may look at.
+#
+# Rotor squares and their past, rotor speeds and slopes, rates and their products, leaky velocity,
+# tilt, closeness to the ground. Nothing here knows the named effects or their parameters. No signal
+# holds anything measured in the present row or later: that would know the noise it is to predict.
+
+
+LAGS = (1, 2, 3, 4, 6, 8, 12, 18, 26)
+"""Rows by which inputs may act later than the base model has it."""
+PAST_ROWS = 4
+PULL_S = 0.1
+MOTOR_S = 0.05
+"""A small motor with its propeller settles within about this time."""
+GROUND_S = (0.4,)
+MIXED = (*AXES, "collective")
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """names: (p,) in words. values: (n, p)."""
+
+    names: tuple[str, ...]
+    values: Array
+
+
+Kind = Literal["torque", "force", "attitude"]
+"""What one-step errors are of."""
+
+
+def signals_of(run: Run, motion: Motion, configuration: Configuration, kind: Kind) -> Signals:
+    """Candidates for the one-step errors of a kind."""
+    mixer = MIXERS[configuration]
+    common = _Collected()
+    speed = np.sqrt(motion.squares.end)
+    slope = _change(speed, run.period_s)
+    # The mean over the recording makes it a deviation; the voltage itself is the battery's word.
+    charge = (run.supply_v - np.mean(run.supply_v))[:, None]
+    common.add("rotor speed", MIXED, _mixed(speed, mixer))
+    common.add("rotor acceleration", MIXED, _mixed(slope, mixer))
+    common.add("rotors slowing down", MIXED, _mixed(np.minimum(slope, 0.0), mixer))
+    lost = speed * _leaky(np.minimum(slope, 0.0), MOTOR_S, run.period_s)
+    common.add("rotors that slowed down", MIXED, _mixed(lost, mixer))
+    common.add("thrust by battery voltage", MIXED, _mixed(motion.squares.end * charge, mixer))
+    common.add("motor voltage", MIXED, _mixed(armature_mv(run.duty, run.supply_v), mixer))
+    past = _past_mean(run.gyro)
+    p, q, r = past.T
+    common.add("rate", AXES, past)
+    common.add("rate times its magnitude", AXES, past * np.abs(past))
+    common.add("rate products", ("pq", "qr", "pr"), np.column_stack([p * q, q * r, p * r]))
+    common.add("squared rate", AXES, past**2)
+    spin = motion.spin[:, None]
+    common.add("rate by rotor momentum", AXES[:2], spin * past[:, :2])
+    common.add("rotor momentum", ("change",), _change(spin, run.period_s))
+    common.add("offset", ("constant",), np.ones((len(run), 1)))
+    attitude = np.sin(np.nan_to_num(run.attitude[:, :2]))
+    common.add("tilt", AXES[:2], _late(attitude, 4))
+    pull = np.nan_to_num(run.accelerometer[:, :2])
+    force = _late(_leaky(pull, PULL_S, run.period_s) / PULL_S, 1)
+    common.add("specific force in the plane", ("forward", "left"), force)
+    ways = ("forward", "left", "up")
+    # A second leak beside the usual one: together they bend to the craft's own speed.
+    slow = _late(velocity_of(run, LEAK_S), 1)
+    common.add("slow velocity", ways, slow)
+    velocity = _late(motion.velocity, 1)
+    common.add("velocity", ways, velocity)
+    common.add("velocity times its magnitude", ways, velocity * np.abs(velocity))
+    squares = motion.squares.end if kind == "force" else motion.squares.square
+    own = _mixed(squares, mixer)
+    if kind == "attitude":
+        inputs = _lagged(own[:, :3], AXES)
+    else:
+        inputs, ground = _lagged(own, MIXED), _ground(motion)
+        for column in range(ground.shape[1]):
+            inputs.add("rotor squares near the ground", MIXED, own * ground[:, [column]])
+    names = (*inputs.names, *common.names)
+    return Signals(names, np.hstack([*inputs.columns, *common.columns]))
+
+
+class _Collected:
+    """Columns and their names, as they come."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.columns: list[Array] = []
+
+    def add(self, what: str, parts: tuple[str, ...], values: Array) -> None:
+        self.names += [f"{what}, {part}" for part in parts]
+        self.columns.append(values)
+
+
+def _lagged(own: Array, parts: tuple[str, ...]) -> _Collected:
+    inputs = _Collected()
+    for lag in (0, *LAGS):
+        when = f" {lag} rows before" if lag else ""
+        inputs.add(f"rotor squares{when}", parts, _late(own, lag))
+    return inputs
+
+
+def _mixed(values: Array, mixer: Array) -> Array:
+    """Roll, pitch, yaw and collective part of one value per rotor."""
+    return np.hstack([values @ mixer.T, values.sum(axis=1, keepdims=True)])
+
+
+def _late(values: Array, rows: int) -> Array:
+    """Values of so many rows before, the first one held."""
+    return np.vstack([np.repeat(values[:1], rows, axis=0), values[: len(values) - rows]])
+
+
+def _leaky(values: Array, fade_s: float, period_s: float) -> Array:
+    """Leaky integral over time."""
+    from scipy.signal import lfilter
+
+    keep = float(np.exp(-period_s / fade_s))
+    return lfilter([period_s], [1.0, -keep], values, axis=0)
+
+
+def _change(values: Array, period_s: float) -> Array:
+    """Slope over the period that ends with the row."""
+    return np.diff(values, axis=0, prepend=values[:1]) / period_s
+
+
+def _past_mean(values: Array) -> Array:
+    """Mean of the ``PAST_ROWS`` rows before each row."""
+    total = np.cumsum(np.vstack([np.repeat(values[:1], PAST_ROWS + 1, axis=0), values]), axis=0)
+    count = len(values)
+    return (total[PAST_ROWS : PAST_ROWS + count] - total[:count]) / PAST_ROWS
+
+
+def _ground(motion: Motion) -> Array:
+    """Fading closeness to take-off and landing, (n, 2)."""
+    columns = []
+    for away in (motion.since_start_s, motion.before_end_s):
+        columns += [np.exp(-np.clip(away, 0.0, None) / fade) for fade in GROUND_S]
+    return np.column_stack(columns)
+
+
+# Which generic signals clearly show in a channel's one-step errors, and how strongly.
+
+
+Pieces = Sequence[tuple[Array, Array]]
+"""Stretches of signals (n, p) and of the errors (n, 3) of the channels they are for."""
+
+CLEAR = 30.0
+"""Drop of the weighted sum of squares from which a signal is let in: 5.5 standard deviations, as
+a hundred are tried on nine channels."""
+WEIGHT_ORDER = 10
+"""Order of the spectrum that weights: the saturated fit takes some noise away where the signals
+are strong, at low frequency; a long autoregression would follow it there and in closed loop that
+is where the inputs mirror the disturbance."""
+ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelPredictor:
+    """What a black box learnt about one channel: chosen signals, and their weights."""
+
+    columns: NDArray[np.int64]
+    weights: Array
+
+
+def fit_signals(pieces: Pieces) -> list[ChannelPredictor]:
+    """One predictor for each of the three channels."""
+    bands = _bands(pieces)
+    return [
+        _fit_channel([(errors[:, axis], signals) for signals, errors in pieces], bands, axis)
+        for axis in range(3)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Bands:
+    """Products of signals and errors of one kind, summed over narrow frequency bands.
+
+    gram: (bands, p + 3, p + 3) of p signals, scaled by ``scale`` (p,), and three errors.
+    frequency: (bands,) their middles in cycles per row.
+    """
+
+    gram: Array
+    frequency: Array
+    scale: Array
+
+    def weighted(self, noise: NoiseModel, axis: int) -> Array:
+        """R^T S^-1 R (p + 1, p + 1) of signals and one error, in units of the noise."""
+        z = np.exp(-2j * np.pi * self.frequency)
+        response = np.abs(np.polynomial.polynomial.polyval(z, noise.whitener)) ** 2
+        total: Array = np.tensordot(response / noise.variance, self.gram, axes=1)
+        keep = [*range(len(self.scale)), len(self.scale) + axis]
+        return total[np.ix_(keep, keep)]
+
+
+def _bands(parts: Pieces) -> _Bands:
+    from scipy.fft import next_fast_len, rfft
+    from scipy.signal.windows import tukey
+
+    power = sum(np.square(signals).sum(axis=0) for signals, _ in parts)
+    scale = np.sqrt(power / sum(len(signals) for signals, _ in parts))
+    scale[scale == 0.0] = 1.0
+    edges = np.concatenate([[0.0], np.geomspace(1e-3, 0.02, 15), np.linspace(0.026, 0.501, 80)])
+    gram = np.zeros((len(edges) - 1, len(scale) + 3, len(scale) + 3))
+    for signals, errors in parts:
+        size = next_fast_len(len(signals), real=True)
+        window = tukey(len(signals), 0.1)[:, None]
+        stack = np.hstack([signals, errors])
+        stack[:, : len(scale)] /= scale
+        stack *= window
+        spectrum = rfft(stack, size, axis=0, overwrite_x=True)
+        spectrum *= np.sqrt(2.0 / size)
+        spectrum[0] *= np.sqrt(0.5)
+        if size % 2 == 0:
+            spectrum[-1] *= np.sqrt(0.5)
+        places = np.searchsorted(np.arange(len(spectrum)) / size, edges)
+        for band, (low, high) in enumerate(pairwise(places)):
+            part = spectrum[low:high]
+            gram[band] += part.real.T @ part.real + part.imag.T @ part.imag
+    return _Bands(gram, 0.5 * (edges[1:] + edges[:-1]), scale)
+
+
+def _fit_channel(
+    pieces: Sequence[tuple[Array, Array]], bands: _Bands, axis: int
+) -> ChannelPredictor:
+    """The signals that clearly show, weighted by the spectrum of what they leave.
+
+    The first spectrum is that of a fit of all signals at once: one that still holds an effect
+    would hide it. That fit takes away some noise too, so that later rounds use the residual of
+    the chosen ones.
+    """
+    # From white noise: the spectrum of an error with an offset would forbid to see the offset.
+    noise = NoiseModel(np.ones(1), 1.0)
+    chosen = np.arange(len(bands.scale))
+    weights, left = np.zeros(0), [error for error, _ in pieces]
+    for turn in range(ROUNDS):
+        if turn > 0:
+            noise = estimate_noise(left, WEIGHT_ORDER)
+            chosen = _select(bands.weighted(noise, axis))
+        weights = _solve(bands.weighted(noise, axis), chosen) / bands.scale[chosen]
+        every = np.zeros(len(bands.scale))  # a part of the columns would be a copy of them
+        every[chosen] = weights
+        left = [error - signals @ every for error, signals in pieces]
+    return ChannelPredictor(chosen, weights)
+
+
+def _solve(gram: Array, columns: NDArray[np.int64]) -> Array:
+    if not len(columns):
+        return np.zeros(0)
+    normal = gram[np.ix_(columns, columns)]
+    return np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ gram[columns, -1]
+
+
+def _select(gram: Array) -> NDArray[np.int64]:
+    """Forward selection: the strongest signal, given those before, until none is clear."""
+    left = gram.copy()
+    size = len(gram) - 1
+    start = np.diag(gram)[:size].copy()
+    chosen: list[int] = []
+    while len(chosen) < size:
+        diagonal = np.diag(left)[:size]
+        usable = diagonal > 1e-6 * start
+        drop = np.where(usable, left[:size, -1] ** 2 / np.where(usable, diagonal, 1.0), 0.0)
+        drop[chosen] = 0.0
+        best = int(np.argmax(drop))
+        if drop[best] < CLEAR:
+            break
+        chosen.append(best)
+        left -= np.outer(left[:, best], left[best]) / left[best, best]
+    return np.array(chosen, np.int64)
+
 
 SOURCE = (
     "black-box predictor on the same rows: generic signals that clearly show in the one-step"

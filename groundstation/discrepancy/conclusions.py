@@ -6,7 +6,7 @@ import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import base_changes
 from groundstation.discrepancy.differences import BY_MASS, UNWEIGHED

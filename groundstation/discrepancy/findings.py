@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import msgspec
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.model import EffectTerm, Estimate, Model
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.base_constants import TOUCHES, Group
 from groundstation.discrepancy.findings import Predicted, Reason, Refusal
 from groundstation.discrepancy.search_state import Accepted, Judge, SearchState

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
+from groundstation.comparison.gap import CHANNELS, FURTHER_EVERY_S, AheadErrors
 from groundstation.discrepancy.findings import (
     Findings,
     FoundEffect,

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
-from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
-from groundstation.comparison.localisation import Place, Spectrum, Stretch, over_time
+from groundstation.comparison.comparison import Comparison, Place, Spectrum, Stretch, over_time
+from groundstation.comparison.gap import CHANNELS, HORIZONS_S, PER_SI, UNITS
 from groundstation.dynamics.meanings import title_of
 from groundstation.report.page import (
     GOOD,

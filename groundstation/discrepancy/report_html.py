@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.localisation import Place, spectrum_of, worst_stretch
+from groundstation.comparison.comparison import Comparison, Place, spectrum_of, worst_stretch
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.report_figures import (
     by_horizon,

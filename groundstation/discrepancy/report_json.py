@@ -7,10 +7,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
-from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS, overall
-from groundstation.comparison.localisation import Place
+from groundstation.comparison.comparison import Comparison, Place
+from groundstation.comparison.gap import CHANNELS, HORIZONS_S, PER_SI, UNITS, overall
 from groundstation.comparison.noise_floor import SOURCE
 from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.base_constants import in_words

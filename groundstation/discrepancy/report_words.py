@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from groundstation.comparison.localisation import Place
+from groundstation.comparison.comparison import Place
 from groundstation.discrepancy.findings import FoundEffect, NotShown
 from groundstation.discrepancy.proof import LEFT
 from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport, EffectFound

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
-from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
-from groundstation.comparison.localisation import over_time
+from groundstation.comparison.comparison import over_time
+from groundstation.comparison.gap import CHANNELS, HORIZONS_S, PER_SI, UNITS
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.telemetry.arrays import Array

@@ -5,8 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.localisation import worst_stretch
+from groundstation.comparison.comparison import Comparison, worst_stretch
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.report_figures import (
     by_horizon,

@@ -8,8 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.comparison.consistency import broken_rotor_sensors
-from groundstation.comparison.refusals import missing_channel, require_channels
+from groundstation.comparison.consistency import (
+    broken_rotor_sensors,
+    missing_channel,
+    require_channels,
+)
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run, mostly_saturated
 

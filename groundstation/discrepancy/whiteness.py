@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.findings import Leftover
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import LEAK_S, LEANING_LEAK_S, Flight

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.errors import TakenError
 from groundstation.links.event import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS

@@ -241,7 +241,7 @@ class TwinService:
         self._tell(LinkEvent(episode.host_ns, SOURCE, kind, in_words(episode), details))
 
     def _gap_by_channel(self) -> dict[str, float | None]:
-        from groundstation.comparison.channels import CHANNELS
+        from groundstation.comparison.gap import CHANNELS
 
         return {} if self._gap is None else dict(zip(CHANNELS, self._gap, strict=True))
 

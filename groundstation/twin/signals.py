@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.dynamics.effect import SPIN
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.registry import DELAY

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from groundstation.comparison.autoregression import estimate_noise
+from groundstation.comparison.noise_floor import estimate_noise
 from groundstation.identification.estimate import whiteness_test
 
 

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.comparison.gap import (
-    ATTITUDE,
-    HORIZONS_S,
-    ahead_errors,
-    overall,
-    pooled_rms,
-)
+from groundstation.comparison.gap import ATTITUDE, HORIZONS_S, ahead_errors, overall, pooled_rms
 from groundstation.prediction.drive import fresh_rows
 from support.flights import BASE, MEDIUM, hidden, judged
 from support.flights import compared as flights

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from groundstation.comparison.localisation import over_time, spectrum_of, where, worst_stretch
+from groundstation.comparison.comparison import over_time, spectrum_of, where, worst_stretch
 from support.flights import MEDIUM, hidden, judged
 
 

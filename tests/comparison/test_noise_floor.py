@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import compare
+from groundstation.comparison.gap import CHANNELS
 from support.flights import BASE, MEDIUM, affected, hidden, judged
 from support.flights import compared as flights
 

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.comparison.regimes import (
-    NEAR_GROUND_S,
-    WHOLE,
-    motion_of,
-    regimes_of,
-)
+from groundstation.comparison.gap import NEAR_GROUND_S, WHOLE, motion_of, regimes_of
 from groundstation.identification.flight import velocity_of
 from groundstation.identification.runs import flights_of
 from support.flights import BASE, CARRYING_GAINS, judged, recorded, truth_of

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.comparison import rotor_drive
+from groundstation.comparison import consistency as rotor_drive
 from groundstation.comparison.comparison import Judged, compare
-from groundstation.comparison.regimes import motion_of
+from groundstation.comparison.gap import motion_of
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.identification.flight import flights_in
 from groundstation.identification.runs import without_gaps

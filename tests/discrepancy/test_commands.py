@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.findings import Predicted, Reason
 from groundstation.discrepancy.prediction_gate import answer_to_predictions
 from groundstation.discrepancy.weight import Weight

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import compare
+from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.findings import Candidate, Leftover, Reason, Refusal, Verdict
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall, where_map
 from groundstation.discrepancy.report_html import compare_page, discrepancy_page

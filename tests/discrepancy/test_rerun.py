@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.rerun_overlay import PAUSE_S, overlay_of
 from groundstation.errors import BadInputError
 from groundstation.viewer.overlay import write_overlay

@@ -31,7 +31,7 @@ from firmware_sim.effects.catalogue import EFFECTS, draw
 from firmware_sim.layout import TRUTH
 from firmware_sim.present import present_effects
 from firmware_sim.settings import StandInSettings
-from groundstation.comparison.regimes import motion_of, regimes_of
+from groundstation.comparison.gap import motion_of, regimes_of
 from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, load_model, save_model
 from groundstation.identification.runs import Run
 from support.plant import plant, slopes
