@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from groundstation.attitude.fusion import kalman as kalman
     from groundstation.attitude.fusion import rest_bias as rest_bias
     from groundstation.comparison.comparison import compare as compare
-    from groundstation.control.evaluate import evaluate as evaluate
-    from groundstation.control.firmware_design import cascade_limits as cascade_limits
-    from groundstation.control.firmware_design import design_cascade as design_cascade
-    from groundstation.control.firmware_design import robustness as robustness
-    from groundstation.control.gains_file import gains_text as gains_text
-    from groundstation.control.gains_file import load_gains as load_gains
-    from groundstation.control.pid import PidGains as PidGains
+    from groundstation.control.design import cascade_limits as cascade_limits
+    from groundstation.control.design import design_cascade as design_cascade
+    from groundstation.control.design import robustness as robustness
+    from groundstation.control.firmware_loop import gains_text as gains_text
+    from groundstation.control.firmware_loop import load_gains as load_gains
+    from groundstation.control.firmwares import PidGains as PidGains
+    from groundstation.control.linear_loop import evaluate as evaluate
     from groundstation.discrepancy.engine import find_discrepancy as find_discrepancy
     from groundstation.dynamics.model import Model as Model
     from groundstation.dynamics.model import load_model as load_model
@@ -67,31 +67,31 @@ PUBLIC = {
     "Criterion": "identification.arx.workflow.Criterion",
     "GroundStationError": "errors.GroundStationError",
     "Model": "dynamics.model.Model",
-    "PidGains": "control.pid.PidGains",
+    "PidGains": "control.firmwares.PidGains",
     "Pilot": "service.client.Pilot",
     "RawBatch": "telemetry.samples.RawBatch",
     "Recording": "recording.session.Recording",
     "Run": "identification.runs.Run",
     "SampleBatch": "telemetry.samples.SampleBatch",
     "Vehicle": "dynamics.vehicle.Vehicle",
-    "cascade_limits": "control.firmware_design.cascade_limits",
+    "cascade_limits": "control.design.cascade_limits",
     "check_axes": "attitude.fusion.check_axes",
     "compare": "comparison.comparison.compare",
     "complementary": "attitude.fusion.complementary",
     "decode_all": "telemetry.decoder.decode_all",
-    "design_cascade": "control.firmware_design.design_cascade",
-    "evaluate": "control.evaluate.evaluate",
+    "design_cascade": "control.design.design_cascade",
+    "evaluate": "control.linear_loop.evaluate",
     "find_discrepancy": "discrepancy.engine.find_discrepancy",
     "fit_arx": "identification.arx.workflow.identify_arx",
     "fit_body": "identification.body.workflow.identify_body",
     "fit_motor": "identification.motor.workflow.identify_motor",
     "flights_of": "identification.runs.flights_of",
     "fly_reference": "prediction.prediction.fly_reference",
-    "gains_text": "control.gains_file.gains_text",
+    "gains_text": "control.firmware_loop.gains_text",
     "hold_out": "identification.division.hold_out",
     "kalman": "attitude.fusion.kalman",
     "live": "service.client.live",
-    "load_gains": "control.gains_file.load_gains",
+    "load_gains": "control.firmware_loop.load_gains",
     "load_model": "dynamics.model.load_model",
     "load_reference": "prediction.prediction.load_reference",
     "load_vehicle": "dynamics.vehicle.load_vehicle",
@@ -99,7 +99,7 @@ PUBLIC = {
     "parse_selection": "identification.runs.parse_selection",
     "predict_ahead": "prediction.prediction.predict_ahead",
     "rest_bias": "attitude.fusion.rest_bias",
-    "robustness": "control.firmware_design.robustness",
+    "robustness": "control.design.robustness",
     "runs_of": "identification.runs.runs_of",
     "save_model": "dynamics.model.save_model",
     "simulate_run": "identification.report.simulate_run",

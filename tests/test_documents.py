@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from groundstation.control.gains_file import load_gains
+from groundstation.control.firmware_loop import load_gains
 from groundstation.dynamics.model import load_model, save_model
 from groundstation.errors import BadInputError
 from groundstation.paths import taken

@@ -21,7 +21,7 @@ from groundstation.cli.setpoint_clock import SetpointClock
 from groundstation.cli.terminal import say, show, show_json
 
 if TYPE_CHECKING:
-    from groundstation.control.thrust_profile import ThrustProfile
+    from groundstation.control.programme import ThrustProfile
 
 CLIENT = "bench motor"
 WARNING = (
@@ -63,7 +63,7 @@ def motor(
 
     Example: [bold]groundstation bench motor --profile steps[/bold]
     """
-    from groundstation.control.thrust_profile import ThrustProfile, require_drivable
+    from groundstation.control.programme import ThrustProfile, require_drivable
 
     planned = ThrustProfile(
         shape=profile,  # type: ignore[arg-type]  # require_drivable judges it
@@ -117,8 +117,7 @@ def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:
 
 def _follow(pilot: Pilot, profile: ThrustProfile, at_rest: dict[str, Any]) -> str:
     """The profile, setpoint by setpoint; why it was cut short, or empty."""
-    from groundstation.control.programme import LowBattery
-    from groundstation.control.thrust_profile import reason_to_stop
+    from groundstation.control.programme import LowBattery, reason_to_stop
 
     clock, low = SetpointClock(), LowBattery()
     for thrust in profile.thrusts().tolist():

@@ -153,7 +153,7 @@ def why_aborted(error: GroundStationError) -> str:
 def require_standing(pilot: Pilot) -> None:
     """Watch a craft for some seconds. Raises GroundStationError where it does not stand still,
     level and, where it knows its height, on the floor."""
-    from groundstation.control.standing import STAND_S, Standing
+    from groundstation.control.programme import STAND_S, Standing
 
     standing = Standing()
     deadline = time.monotonic() + STAND_S + STAND_MORE_S

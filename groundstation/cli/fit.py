@@ -271,8 +271,7 @@ def _with_curve(found: Identified, task: _Task, recordings: Sequence[Recording])
 
     import msgspec
 
-    from groundstation.control.firmwares import firmware_of_vehicle
-    from groundstation.control.thrust_curve import against, flown_curve
+    from groundstation.control.firmwares import against, firmware_of_vehicle, flown_curve
 
     if found.account["what"] != "body" or task.vehicle.firmware != "2.x":
         return found

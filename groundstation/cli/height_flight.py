@@ -18,17 +18,23 @@ from groundstation.cli.interrupts import Interrupts
 from groundstation.cli.motors_off import MOTORS_OFF, NOT_TURNING, Ended, stop_now
 from groundstation.cli.setpoint_clock import Clock, SetpointClock
 from groundstation.cli.terminal import say
-from groundstation.control.flight_watch import AWAY, BLIND, FlightWatch, Seen
-from groundstation.control.holding import AHEAD_S, FIRST_REST_S, Holding, Hover
 from groundstation.control.programme import (
+    AHEAD_S,
+    AWAY,
     BEGINS,
+    BLIND,
+    FIRST_REST_S,
     HOLDS,
     LANDS,
     MANOEUVRE,
     RATE_HZ,
     TILTED,
     TURNED,
+    FlightWatch,
+    Holding,
+    Hover,
     LowBattery,
+    Seen,
     reason_to_abort,
     stands_again,
 )

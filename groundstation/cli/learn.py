@@ -281,7 +281,7 @@ def _preflight(
     import msgspec
 
     from groundstation.cli.learn_flights import DaemonPlace
-    from groundstation.control.flight_watch import BEYOND_M
+    from groundstation.control.programme import BEYOND_M
     from groundstation.learn.story import flights_ahead
 
     says = pilot.says()
@@ -320,7 +320,7 @@ def _learn(journal: Journal, shell: Shell, pilot: Place, told: Told) -> None:
 
 def _store(journal: Journal, folder: Path, pilot: Place, told: Told) -> None:
     """Have the craft keep the gains that it was left with, where they flew better."""
-    from groundstation.control.gains_file import load_gains
+    from groundstation.control.firmware_loop import load_gains
     from groundstation.learn.story import GAINS
 
     if not journal.gains.startswith("written"):

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 
 from groundstation import GroundStationError, Pilot
 from groundstation.cli.commanding import LOOK_S, require_ready
-from groundstation.control.standing import Standing, trouble_of
+from groundstation.control.programme import Standing, trouble_of
 from groundstation.links.supervisor import NOT_ARMED
 
 WAIT_S = 600.0

@@ -59,14 +59,9 @@ def evaluate(
     """
     from groundstation import PidGains, load_gains
     from groundstation import evaluate as evaluate_gains
-    from groundstation.control.evaluate import LOOPS
-    from groundstation.control.gains_file import loop_of_gains, require_gains_of
-    from groundstation.control.report import (
-        METRICS_HEAD,
-        evaluation_page,
-        metrics_row,
-        table_lines,
-    )
+    from groundstation.control.firmware_loop import loop_of_gains, require_gains_of
+    from groundstation.control.linear_loop import LOOPS
+    from groundstation.control.report import METRICS_HEAD, evaluation_page, metrics_row, table_lines
 
     if html is not None:
         require_new(html)

@@ -22,8 +22,7 @@ from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
     from groundstation import Model, PidGains
-    from groundstation.control.design import Design
-    from groundstation.control.firmware_design import AxisDesign, Robustness
+    from groundstation.control.design import AxisDesign, Design, Robustness
     from groundstation.control.firmwares import Release
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
@@ -123,7 +122,7 @@ def _design_firmware(
     name: str,
 ) -> tuple[dict[str, Any], dict[str, float], Any]:
     from groundstation import cascade_limits, design_cascade, robustness
-    from groundstation.control.design_report import firmware_page, firmware_report
+    from groundstation.control.report import firmware_page, firmware_report
 
     with shown("designing") as show:
         progress = _of_axes(axes, lambda share, what: show(0.9 * share, what))
@@ -149,10 +148,9 @@ def _design_thesis(
     seed: int,
     name: str,
 ) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
-    from groundstation.control.design import Limits, design_direct
-    from groundstation.control.design_report import thesis_design_page, thesis_report
+    from groundstation.control.design import Limits, design_direct, require_certain
     from groundstation.control.linear_loop import axis_plant
-    from groundstation.control.uncertainty import require_certain
+    from groundstation.control.report import thesis_design_page, thesis_report
     from groundstation.dynamics.model import THESIS
 
     require_certain(model, [axis for axis in axes if axis not in (model.arx or {})])
@@ -177,7 +175,7 @@ def _design_thesis(
 
 def _require_followed(model: Model, found: dict[str, PidGains], delay: int | None) -> None:
     """Raises BadInputError for gains on u' that the model's motors cannot follow."""
-    from groundstation.control.actuators import reason_not_followed
+    from groundstation.control.linear_loop import reason_not_followed
 
     reasons = [reason_not_followed(model, gains, axis, delay) for axis, gains in found.items()]
     beyond = "; ".join(reason for reason in reasons if reason)
@@ -233,9 +231,9 @@ def convert(
     -o gains.toml[/bold]
     """
     from groundstation import PidGains, gains_text, load_gains
-    from groundstation.control.gain_conversion import FORMS as KNOWN
-    from groundstation.control.gain_conversion import convert_gains
-    from groundstation.control.gains_file import loop_of_gains, require_gains_of
+    from groundstation.control.firmware_loop import loop_of_gains, require_gains_of
+    from groundstation.control.linear_loop import FORMS as KNOWN
+    from groundstation.control.linear_loop import convert_gains
 
     require_new(output)
     if to not in KNOWN:

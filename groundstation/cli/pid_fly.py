@@ -121,7 +121,7 @@ def _planned(shape: Any, axes: list[str] | None, *more: Any) -> Programme:
 
 
 def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None:
-    from groundstation.control.flight_watch import BEYOND_M
+    from groundstation.control.programme import BEYOND_M
 
     plan = {
         **programme.as_dict(),
@@ -305,7 +305,7 @@ def _judge(
     flown: Flown | None = None
     if programme.shape != "level":
         from groundstation import load_model
-        from groundstation.control.step_recording import analyse_recording
+        from groundstation.control.step_analysis import analyse_recording
         from groundstation.recording.open_for_analysis import open_for_analysis
 
         if not Path(report["recording"]).exists():

@@ -24,8 +24,8 @@ class Whose:
     def wanted(self) -> dict[str, float]:
         """The gains. Raises BadInputError for what is wrong with any: better known before a
         flight."""
+        from groundstation.control.firmware_loop import plant_of_model
         from groundstation.control.firmwares import require_release
-        from groundstation.control.plant import plant_of_model
 
         wanted = {} if self.gains is None else _firmware_gains(self.gains)
         if self.said is not None:
@@ -41,8 +41,8 @@ class Whose:
         numbers there.
         """
         from groundstation import load_model
+        from groundstation.control.firmware_loop import require_gains_of
         from groundstation.control.firmwares import firmware_of_vehicle, require_release
-        from groundstation.control.gains_file import require_gains_of
         from groundstation.dynamics.model import model_vehicle
 
         if not (craft or self.said):

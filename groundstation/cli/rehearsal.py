@@ -14,7 +14,7 @@ import numpy as np
 from groundstation import BadInputError, GroundStationError, load_model
 from groundstation.cli.height_flight import Flyable
 from groundstation.cli.learn_flights import CLIENT, FastPlace
-from groundstation.control.step_recording import analyse_recording
+from groundstation.control.step_analysis import analyse_recording
 from groundstation.links.supervisor import PLACE
 from groundstation.recording.open_for_analysis import open_for_analysis
 

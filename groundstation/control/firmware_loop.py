@@ -1,30 +1,155 @@
-"""The firmware's loops: an angle PID that commands a rate PID, on the craft of a model.
-
-Gains go by the firmware's parameter names (``pid_rate.roll_kp``). As release 2014.01.0 runs them:
-angle loops, error in deg, output deg/s, 250 Hz; rate loops, error in deg/s, output in 16-bit PWM
-units, 500 Hz; yaw is commanded as a rate. As today's firmware does: both at 500 Hz, derivatives of
-what is measured, a yaw setpoint turns a heading that is held, and outputs are units of 16-bit
-thrust, which a motor gets whatever the battery (``firmwares``). Each integral is clamped, not the
-product with its gain. Here angles are in rad, pitch nose down positive; inside, the kernel turns
-them into the firmware's.
-"""
+"""The firmware's loops around a model, and the file of their gains."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.control.firmwares import RELEASE_2014, Firmware
-from groundstation.control.margins import LoopResponse, Margins
-from groundstation.control.plant import Plant
+from groundstation.control.firmwares import (
+    RELEASE_2014,
+    RELEASES,
+    Firmware,
+    PidGains,
+    Release,
+    firmware_of_model,
+    require_finite,
+)
+from groundstation.control.metrics import LoopResponse, Margins
+from groundstation.documents import decode_toml, explained, read_document, seems
+from groundstation.dynamics.craft import Crafts, craft_of_model, craft_of_motors
+from groundstation.dynamics.effect import FAR_M
+from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
+from groundstation.dynamics.sensors import SENSORS, sensors_of_model
+from groundstation.dynamics.simulation import (
+    RATE,
+    ROTOR,
+    accelerations,
+    craft_state,
+    hover_duty,
+    hover_rev_s,
+    with_states,
+)
+from groundstation.dynamics.vehicle import MIXERS
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+# The craft as the closed-loop simulations turn it: that of ``simulate``, with the same effects.
+#
+# A record of ``dynamics/craft.py``, and what lies between the craft and its controller. It begins
+# level, in a hover far from the ground.
+
+
+HOVER_REV_S = 230.0
+"""Where a model without a body is flown: it does not say what carries the craft."""
+NUDGE_RATE, NUDGE_SPEED = 1e-3, 1e-2
+"""rad/s and rev/s, of the differences by which a hover is linearised."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plant:
+    """craft, sensor: records of shape (1,). hover_rev_s: rotor speed that carries the craft.
+    mixer: (3, 4). fusion: the controller hears the firmware's attitude filter, not the truth.
+    firmware: whose loops fly it.
+    """
+
+    craft: Crafts
+    sensor: NDArray[np.void]
+    hover_rev_s: float
+    mixer: Array
+    fusion: bool
+    firmware: Firmware = RELEASE_2014
+
+    @property
+    def start(self) -> Array:
+        """The state that a simulation begins in, (17 + those of effects,)."""
+        state = craft_state((0.0, 0.0, FAR_M), rotor_rev_s=self.hover_rev_s)
+        return np.array(with_states(self.craft, state[None])[0])
+
+    @property
+    def airframe_x(self) -> bool:
+        return bool((self.mixer[0] != 0.0).all())
+
+    def hover_duty(self, supply_mv: ArrayLike) -> Array:
+        """Duty 0..1 (k,), mean of the rotors, that holds the hover at supplies (k,) in mV."""
+        return hover_duty(self.craft, self.hover_rev_s, supply_mv)
+
+    def hover_thrust(self, supply_mv: ArrayLike) -> Array:
+        """The firmware's 16-bit thrust (k,) for it."""
+        return self.firmware.thrust(self.hover_duty(supply_mv), supply_mv)
+
+    def slopes(self, axis: int) -> tuple[float, float, float]:
+        """Around the hover, of the angular acceleration of an axis: damping in 1/s, by the speed of
+        all rotors moved as the mixer says in (rad/s^2) per rev/s, and by their slope."""
+        moved = np.sign(self.mixer[axis])
+
+        def turn(rate: float, speed: float, slope: float) -> float:
+            state = self.start[None, : RATE.stop + 4].copy()
+            state[0, RATE.start + axis] = rate
+            state[0, ROTOR] += speed * moved
+            found = accelerations(self.craft, state, slope * moved[None])
+            return float(found[0, axis])
+
+        by_rate = (turn(NUDGE_RATE, 0, 0) - turn(-NUDGE_RATE, 0, 0)) / (2 * NUDGE_RATE)
+        by_speed = (turn(0, NUDGE_SPEED, 0) - turn(0, -NUDGE_SPEED, 0)) / (2 * NUDGE_SPEED)
+        return -by_rate, by_speed, 0.5 * (turn(0, 0, 1.0) - turn(0, 0, -1.0))
+
+    def gyro_response(self, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """What the gyro makes of a rate at s (n,) in 1/s, without the delay."""
+        if not self.craft[0]["sensor_states"]:
+            return np.ones_like(s)
+        from groundstation.dynamics.sensing import gyro_step
+
+        shown = np.empty(round(RESPONSE_S / RESPONSE_STEP_S))
+        gyro_step(self.craft[0], RESPONSE_STEP_S, shown)
+        time = RESPONSE_STEP_S * (np.arange(len(shown)) + 0.5)
+        left = shown[-1] - shown
+        lost = (np.exp(-np.outer(s, time)) @ left) * RESPONSE_STEP_S
+        return shown[-1] - s * lost
+
+
+RESPONSE_S, RESPONSE_STEP_S = 0.5, 1e-4
+"""Length and step of the sensors' step response."""
+
+
+def plant_of_model(model: Model, fusion: bool = True, release: str | None = None) -> Plant:
+    """A fitted model with all its effects.
+
+    fusion: the controller hears the firmware's attitude filter; otherwise the true angles.
+    release: of the firmware, None: the vehicle's.
+
+    Raises BadInputError for a model without a body, or a firmware that cannot fly it.
+    """
+    vehicle, craft = model_vehicle(model), craft_of_model(model)
+    mixer, firmware = MIXERS[vehicle.configuration], firmware_of_model(model, release)
+    sensor = sensors_of_model(model)
+    return Plant(craft, sensor, hover_rev_s(craft), mixer, fusion, firmware)
+
+
+def motors_of_model(model: Model) -> Plant:
+    """The motors of a model without a body."""
+    craft = craft_of_motors(rotor_motors(model), {})
+    mixer = MIXERS[model_vehicle(model).configuration]
+    return Plant(craft, np.zeros(1, SENSORS), HOVER_REV_S, mixer, False)
+
+
+# The firmware's loops: an angle PID that commands a rate PID, on the craft of a model.
+#
+# Gains go by the firmware's parameter names (``pid_rate.roll_kp``). As release 2014.01.0 runs
+# them: angle loops, error in deg, output deg/s, 250 Hz; rate loops, error in deg/s, output in
+# 16-bit PWM units, 500 Hz; yaw is commanded as a rate. As today's firmware does: both at 500 Hz,
+# derivatives of what is measured, a yaw setpoint turns a heading that is held, and outputs are
+# units of 16-bit thrust, which a motor gets whatever the battery (``firmwares``). Each integral
+# is clamped, not the product with its gain. Here angles are in rad, pitch nose down positive;
+# inside, the kernel turns them into the firmware's.
+
 
 Complex = NDArray[Any]
 
@@ -34,7 +159,7 @@ SUPPLY_MV = 3700.0
 STEP_RAD = {"roll": math.radians(10), "pitch": math.radians(10), "yaw": math.radians(90)}
 """Sizes of the steps by which loops are judged; yaw's in rad/s."""
 
-FIRMWARE = np.dtype(
+FIRMWARE_FIELDS = np.dtype(
     [
         ("rate_kp", "f8", (3,)),
         ("rate_ki", "f8", (3,)),
@@ -83,7 +208,7 @@ def firmware_of(
     firmware: Firmware = RELEASE_2014,
 ) -> NDArray[np.void]:
     """The firmware at rest, shape (1,); gains not named are stock."""
-    record = np.zeros(1, FIRMWARE)
+    record = np.zeros(1, FIRMWARE_FIELDS)
     f = record[0]
     values = {**firmware.stock, **gains}
     for group, loop in (("pid_rate", "rate"), ("pid_attitude", "angle")):
@@ -111,7 +236,7 @@ def run_cascade(
     steps.
     The craft starts level, at rest, its rotors at the speed that carries it.
     """
-    from groundstation.control.flight_kernels import cascade_run
+    from groundstation.control.kernels import cascade_run
 
     wanted = np.ascontiguousarray(setpoints, np.float64)
     rows = len(wanted)
@@ -278,8 +403,7 @@ class CascadeJudge:
             self._stock[_column(f"pid_rate.{axis}_kd")] = 0.0  # without effect
 
     def __call__(self, candidates: Array) -> Array:
-        from groundstation.control.flight_kernels import cascade_many
-        from groundstation.control.linear_loop_kernels import measure_many
+        from groundstation.control.kernels import cascade_many, measure_many
 
         gains = np.tile(self._stock, (len(candidates), 1))
         gains[:, self._columns] = candidates
@@ -392,3 +516,136 @@ def speed_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Com
     # Roll moves two rotors (plus), or four by half (x); yaw moves all four.
     share = 0.5 if plant.airframe_x and index < 2 else 1.0
     return share * motor["a0"] * mv / (s + pole)
+
+
+# Gains in a TOML file: the thesis's form by axis, or the firmware's by parameter name.
+#
+# [roll]                        firmware = "2014"
+# kp = 1.5e6                    "pid_rate.roll_kp" = 5.1
+# kd = 1.0e4                    "pid_attitude.roll_kp" = 3.2
+#
+# The names are those of both firmwares and the numbers mean other things to each: a file that names
+# none holds gains of 2014's.
+
+
+FIRMWARE = "firmware"
+LOOP = "loop"
+BY_AXIS = ("direct", "whole")
+UNNAMED: Release = "2014"
+
+
+def load_gains(path: str | Path) -> dict[str, PidGains] | dict[str, float]:
+    """Gains by axis (thesis) or by parameter (firmware).
+
+    Raises BadInputError naming what is wrong: no file, no TOML, an unknown name, a number that
+    no gain can be.
+    """
+    where = f"gains {path}"
+    table = _read(path, where)
+    _named(table.pop(FIRMWARE, None), where)
+    _loop(table.pop(LOOP, None), where)
+    if not table:
+        raise BadInputError(f"{where}: holds no gains")
+    if any(name in table for name in AXES):
+        return {axis: _of_axis(value, f"{where}: {axis}") for axis, value in table.items()}
+    values = {}
+    for name, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise BadInputError(
+                f'{where}: {name} is no number; write "pid_rate.roll_kp" = 5.1 with quotes'
+            )
+        values[name] = float(value)
+    require_gains(values, where)
+    return values
+
+
+def firmware_of_gains(path: str | Path) -> Release | None:
+    """The firmware that a file of gains is for; None where it names none.
+
+    Raises as ``load_gains``.
+    """
+    where = f"gains {path}"
+    return _named(_read(path, where).get(FIRMWARE), where)
+
+
+def loop_of_gains(path: str | Path) -> str | None:
+    """The loop, direct or whole, that a file of gains by axis is for; None where it names none.
+
+    Raises as ``load_gains``.
+    """
+    where = f"gains {path}"
+    return _loop(_read(path, where).get(LOOP), where)
+
+
+def require_gains_of(
+    path: str | Path, release: Release, whose: str, *, said: str | None = None
+) -> None:
+    """Raises BadInputError where a file of the firmware's gains is for another release.
+
+    whose: what flies ``release``, in words. said: the release that the user says the file is for.
+    """
+    named = firmware_of_gains(path)
+    if said is not None and named is not None and named != said:
+        raise BadInputError(f"gains {path}: for firmware {named}, --firmware says {said}")
+    if (named or said or UNNAMED) == release:
+        return
+    what = f"for firmware {named or said}"
+    if not (named or said):
+        what = f'taken for firmware {UNNAMED}, for no line says firmware = "{release}"'
+    raise BadInputError(
+        f"gains {path}: {what}; {whose} flies {release}, where the same names mean other numbers"
+    )
+
+
+def gains_text(
+    gains: Mapping[str, PidGains] | Mapping[str, float],
+    release: Release | None = None,
+    loop: str | None = None,
+) -> str:
+    """What ``load_gains`` reads back to the same numbers. release, loop: whose gains they are."""
+    lines = [f'{FIRMWARE} = "{release}"'] if release else []
+    lines += [f'{LOOP} = "{loop}"'] if loop else []
+    for name, value in gains.items():
+        if isinstance(value, PidGains):
+            lines += [
+                f"[{name}]",
+                *(f"{k} = {v!r}" for k, v in msgspec.structs.asdict(value).items()),
+            ]
+        else:
+            lines.append(f'"{name}" = {value!r}')
+    return "\n".join(lines) + "\n"
+
+
+def _read(path: str | Path, where: str) -> dict[str, Any]:
+    content = b""
+    try:
+        content = read_document(Path(path))
+        return decode_toml(content, dict[str, Any])
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"{where}: cannot be read: {error}{seems(content)}") from error
+
+
+def _named(value: Any, where: str) -> Release | None:
+    for release in RELEASES:
+        if value == release:
+            return release
+    if value is not None:
+        raise BadInputError(f"{where}: {FIRMWARE} is {value!r}, there are {', '.join(RELEASES)}")
+    return None
+
+
+def _loop(value: Any, where: str) -> str | None:
+    if value is not None and value not in BY_AXIS:
+        raise BadInputError(f"{where}: {LOOP} is {value!r}, there are {', '.join(BY_AXIS)}")
+    return None if value is None else str(value)
+
+
+def _of_axis(value: Any, where: str) -> PidGains:
+    if where.rsplit(" ", 1)[-1] not in AXES:
+        raise BadInputError(f"{where} is no axis: there are {', '.join(AXES)}")
+    try:
+        gains = msgspec.convert(value, PidGains, strict=False)
+    except msgspec.ValidationError as error:
+        raise BadInputError(f"{where}: {explained(error, PidGains)}") from error
+    require_finite(gains, where)
+    return gains

@@ -1,24 +1,317 @@
-"""What ``pid fly`` commands: steps or doublets, one axis after the other, 100 times a second.
-
-A craft that knows its place is stopped and brought back after each of them (``holding``).
-
-Signs are those of the telemetry: roll left side up, pitch nose down, yaw rate counter-clockwise.
-"""
+"""Programmes of manoeuvres, and what a flight must keep: its start, its room, its limits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.flight_watch import SPEED_M_S, largest
-from groundstation.control.holding import AHEAD_S, NEAR_M
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES, Array
+from groundstation.telemetry.packet import FULL_16_BIT, TICK_S
+
+# What a craft says of itself in flight, and when it must land.
+#
+# Pure: the numbers of the daemon's answer to a setpoint, and the time.
+
+
+BEYOND_M = 0.5
+"""Beyond its reach: a craft that brakes from 1.5 m/s needs so much."""
+SPEED_M_S = 1.5
+"""No manoeuvre of ``learn`` reaches 1.0 m/s."""
+HEIGHT_OFF_M, HEIGHT_OFF_S = 0.3, 1.0
+"""The largest step of height is 0.4 m, and a craft makes it within 0.6 s."""
+THRUST_RATIO, THRUST_S = 1.5, 0.5
+"""Of the thrust that hovers: a step of height asks for more for 0.2 s, a height that stands still
+for ever."""
+APART_M, APART_S, GAP_S = 0.15, 1.0, 0.2
+"""A height that has changed in so long by so much more or less than the climb rate says is not that
+of the craft: its sensor sticks. The two agree within 0.02 m in flight; not across a gap."""
+LIFT_S, LIFT_M = 2.0, 0.1
+"""A craft that is not so high so long after it was asked to climb stays on the ground, or nothing
+measures its height."""
+SILENT_S = 1.0
+"""Age of the newest place."""
+AWAY, FAST, NO_LIFT = "position", "speed", "no take-off"
+"""How some reasons begin."""
+BLIND = "height sensor"
+"""And that for which no landing is possible: its motors stop, for it climbs away meanwhile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a craft says. time_s: by its own clock, which a host that is held up does not change.
+    x_m, y_m, vx_m_s, vy_m_s, climb_m_s: in the world of its estimator; NaN where it does not know
+    its place. height_m: NaN where it is not sure. heading_rad: counter-clockwise. thrust: mean over
+    the motors of (duty x V)^2, which thrust grows with. age_s: of the place."""
+
+    time_s: float
+    x_m: float
+    y_m: float
+    vx_m_s: float
+    vy_m_s: float
+    climb_m_s: float
+    height_m: float
+    heading_rad: float
+    roll_deg: float
+    pitch_deg: float
+    thrust: float
+    age_s: float
+
+    @classmethod
+    def of(cls, answer: Mapping[str, Any]) -> Self:
+        """From the answer to a setpoint."""
+        place, said = answer.get("place") or {}, answer["telemetry"]
+        duties = [_number(motor) for motor in said["motors"]]
+        volts = said["battery_v"]
+        volts = volts if volts is not None and math.isfinite(volts) else 1.0
+        return cls(
+            time_s=TICK_S * said["timestamp"],
+            x_m=_number(place.get("x_m")),
+            y_m=_number(place.get("y_m")),
+            vx_m_s=_number(place.get("vx_m_s")),
+            vy_m_s=_number(place.get("vy_m_s")),
+            climb_m_s=_number(place.get("vz_m_s")),
+            height_m=_number(place.get("z_m", answer.get("height_m"))),
+            heading_rad=math.radians(_number(said["yaw_deg"])),
+            roll_deg=_number(said["roll_deg"]),
+            pitch_deg=_number(said["pitch_deg"]),
+            thrust=sum((duty * volts) ** 2 for duty in duties) / len(duties),
+            age_s=_number(place.get("age_s", math.inf)),
+        )
+
+    @property
+    def speed_m_s(self) -> float:
+        return math.hypot(self.vx_m_s, self.vy_m_s)
+
+    def away_m(self, home: tuple[float, float], ahead_s: float = 0.0) -> float:
+        """How far it is from ``home``, or will be where nothing brakes it for ``ahead_s``."""
+        return math.hypot(
+            self.x_m + ahead_s * self.vx_m_s - home[0], self.y_m + ahead_s * self.vy_m_s - home[1]
+        )
+
+
+def largest(values: Iterable[float | None]) -> float:
+    """The largest size; NaN where one is missing."""
+    sizes = [abs(_number(value)) for value in values]
+    return math.nan if any(map(math.isnan, sizes)) else max(sizes)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+class FlightWatch:
+    """Watches one flight of a craft that holds its height.
+
+    home: where it took off, in the estimator's world; None: it does not know its place. floor_m:
+    its height there. reach_m: how far it may be asked to fly. begun_s: when it was first asked to
+    climb, by its own clock. speed_m_s: the most that it may fly.
+    """
+
+    def __init__(
+        self,
+        home: tuple[float, float] | None,
+        floor_m: float,
+        reach_m: float,
+        begun_s: float,
+        speed_m_s: float = SPEED_M_S,
+    ) -> None:
+        self.hover_thrust = math.inf
+        """As ``Seen.thrust``, once it is known."""
+        self._home, self._floor_m = home, floor_m
+        self._most_m, self._speed_m_s = reach_m + BEYOND_M, speed_m_s
+        self._begun_s = begun_s
+        self._height_off, self._thrust_high = _Lasts(HEIGHT_OFF_S), _Lasts(THRUST_S)
+        self._lifted = False
+        self._climbed_m, self._last_s = 0.0, begun_s
+        self._aparts: deque[tuple[float, float]] = deque()
+
+    def reason(self, seen: Seen, asked_m: float) -> str:
+        """Why it must land now, or empty. asked_m: the height that it is asked for."""
+        now_s = seen.time_s
+        if self._home is not None:
+            if not seen.age_s <= SILENT_S:
+                return f"no position from the craft for {SILENT_S:g} s"
+            away_m = seen.away_m(self._home)
+            if not away_m <= self._most_m:
+                return f"{AWAY}: {away_m:.1f} m from take-off, the limit is {self._most_m:.1f} m"
+            if not seen.speed_m_s <= self._speed_m_s:
+                return f"{FAST}: {seen.speed_m_s:.1f} m/s, the limit is {self._speed_m_s:.1f} m/s"
+        height = f"{seen.height_m:.2f} m high"
+        self._lifted |= seen.height_m - self._floor_m >= LIFT_M
+        if not self._lifted and now_s - self._begun_s >= LIFT_S:
+            return f"{NO_LIFT}: {height} {LIFT_S:g} s after the start"
+        is_off = self._lifted and not abs(seen.height_m - asked_m) <= HEIGHT_OFF_M
+        if self._height_off.lasts(now_s, is_off):
+            return f"height: {height} for {HEIGHT_OFF_S:g} s, {asked_m:.2f} m was requested"
+        if self._apart_m(seen) > APART_M:
+            return f"{BLIND}: it says {height}, which the climb rate contradicts"
+        ratio = seen.thrust / self.hover_thrust
+        if self._thrust_high.lasts(now_s, ratio > THRUST_RATIO):
+            return f"thrust: {ratio:.1f} times that of hover, the limit is {THRUST_RATIO:g} times"
+        return ""
+
+    def _apart_m(self, seen: Seen) -> float:
+        """How much height and climb rate have disagreed about in the last ``APART_S``."""
+        if math.isnan(seen.climb_m_s):
+            return 0.0
+        passed_s, self._last_s = seen.time_s - self._last_s, seen.time_s
+        kept = self._aparts
+        if not 0.0 <= passed_s <= GAP_S:
+            kept.clear()
+        self._climbed_m += passed_s * seen.climb_m_s
+        kept.append((seen.time_s, seen.height_m - self._climbed_m))
+        while seen.time_s - kept[0][0] > APART_S:
+            kept.popleft()
+        return max(apart for _, apart in kept) - min(apart for _, apart in kept)
+
+
+class _Lasts:
+    """Whether something has been so without a break for ``seconds``."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds, self._since_s = seconds, math.inf
+
+    def lasts(self, now_s: float, is_so: bool) -> bool:
+        self._since_s = min(self._since_s, now_s) if is_so else math.inf
+        return now_s - self._since_s >= self._seconds
+
+
+# A craft that knows its place, stopped and brought back between manoeuvres.
+#
+# Velocities are what hover setpoints take: ahead and to the left, in the heading's frame.
+
+
+STANDS_M_S = 0.1
+"""Slower than this a craft stands still in the air."""
+BACK_M_S, BACK_PER_S, NEAR_M = 0.3, 1.0, 0.15
+"""It goes back so fast at most, and slower the nearer it is; so near it is there."""
+HOLD_MOST_S = 8.0
+"""A craft that has not come back by then stays where it is."""
+REST_S = 0.5
+AHEAD_S = 0.5
+"""A craft brakes from 1 m/s within so much of a second's way."""
+TRIM_S, FIRST_REST_S = 1.0, 3.0
+"""How long the lean of hover is averaged at most; how long it hovers after take-off, for its
+estimator learns in flight how its sensors are turned."""
+
+
+class Holding:
+    """From a craft that moves to one that hovers at its place.
+
+    home: where that is. rest_s: how long it hovers there in the end.
+    """
+
+    def __init__(self, home: tuple[float, float], now_s: float, rest_s: float = REST_S) -> None:
+        self._home, self._rest_s = home, rest_s
+        self._until_s = now_s + HOLD_MOST_S
+        self._stopped = self._is_back = False
+        self._rests_s = math.inf
+
+    @property
+    def rests(self) -> bool:
+        """Whether it hovers at its place, as it was asked to last."""
+        return math.isfinite(self._rests_s)
+
+    def velocity(self, now_s: float, seen: Seen) -> tuple[float, float] | None:
+        """What to ask for now, m/s; None: it hovers at its place."""
+        slow, late = seen.speed_m_s < STANDS_M_S, now_s >= self._until_s
+        away_m = seen.away_m(self._home)
+        self._stopped |= slow
+        self._is_back |= late or (self._stopped and away_m < NEAR_M)
+        if self._is_back:
+            self._rests_s = min(self._rests_s, now_s) if slow or late else math.inf
+            return None if now_s - self._rests_s >= self._rest_s else (0.0, 0.0)
+        if not self._stopped:
+            return 0.0, 0.0
+        speed = min(BACK_M_S, BACK_PER_S * away_m) / away_m
+        ahead, aside = (self._home[0] - seen.x_m) * speed, (self._home[1] - seen.y_m) * speed
+        cos, sin = math.cos(seen.heading_rad), math.sin(seen.heading_rad)
+        return cos * ahead + sin * aside, cos * aside - sin * ahead
+
+
+class Hover:
+    """What a craft that hovers shows, over the last ``TRIM_S``: lean and thrust."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, Seen]] = deque()
+
+    def add(self, now_s: float, seen: Seen) -> None:
+        self._seen.append((now_s, seen))
+        while now_s - self._seen[0][0] > TRIM_S:
+            self._seen.popleft()
+
+    @property
+    def trim_deg(self) -> tuple[float, float]:
+        """Mean roll and pitch: what the craft calls the attitude in which it stays."""
+        return self._mean("roll_deg"), self._mean("pitch_deg")
+
+    @property
+    def thrust(self) -> float:
+        """Mean of ``Seen.thrust``."""
+        return self._mean("thrust")
+
+    def _mean(self, name: str) -> float:
+        return sum(getattr(seen, name) for _, seen in self._seen) / len(self._seen)
+
+
+# Whether a craft stands on the floor, before its motors turn.
+
+
+STAND_S = 3.0
+STILL_DPS, LEVEL_DEG = 5.0, 10.0
+"""A hand never holds a craft so still; nobody puts one on a steeper floor."""
+FLOOR_M = 0.1
+"""A craft's own height on the floor is known to some cm."""
+
+
+class Standing:
+    """Watches a craft whose motors stand still; ``trouble``: why it may not take off, or empty."""
+
+    def __init__(self) -> None:
+        self.trouble = ""
+        self._since_s = math.inf
+
+    def look(self, now_s: float, answer: Mapping[str, Any]) -> bool:
+        """Whether it has stood for ``STAND_S``, by this answer and those before it."""
+        self.trouble = trouble_of(answer)
+        self._since_s = math.inf if self.trouble else min(self._since_s, now_s)
+        return now_s - self._since_s >= STAND_S
+
+
+def trouble_of(answer: Mapping[str, Any]) -> str:
+    """Why a craft does not stand still, level, on the floor and ready to fly, or empty. answer: the
+    daemon's to a setpoint; a height of None is not known, and any angle that is missing is a
+    reason."""
+    said, height_m = answer["telemetry"], answer.get("height_m")
+    if answer.get("hindrance"):
+        return str(answer["hindrance"])
+    turns = largest(said["gyro_dps"])
+    if not turns <= STILL_DPS:
+        return f"it moves ({turns:.0f} deg/s, {STILL_DPS:g} is the most): put it on the floor"
+    tilt = largest((said["roll_deg"], said["pitch_deg"]))
+    if not tilt <= LEVEL_DEG:
+        return f"it is tilted by {tilt:.0f} deg, {LEVEL_DEG:g} is the most: put it on level floor"
+    if height_m is not None and not abs(height_m) <= FLOOR_M:
+        return (
+            f"it is {height_m:.2f} m above the floor: put it down; where a positioning system tells"
+            " its height, set the origin on the floor"
+        )
+    return ""
+
+
+# What ``pid fly`` commands: steps or doublets, one axis after the other, 100 times a second.
+#
+# A craft that knows its place is stopped and brought back after each of them (``holding``).
+#
+# Signs are those of the telemetry: roll left side up, pitch nose down, yaw rate counter-clockwise.
+
 
 Shape = Literal["doublet", "step", "level"]
 SHAPES: tuple[Shape, ...] = ("doublet", "step", "level")
@@ -250,3 +543,94 @@ def reason_to_abort(
     if battery is None or math.isnan(battery):
         return "the battery's voltage is not known"
     return low.reason(answer["time_ns"] - round(1e9 * age), battery, limits)
+
+
+# What ``bench motor`` commands: thrust up and down, 100 times a second (thesis 7.2.1).
+#
+# The craft is fixed to the bench, so roll, pitch and yaw rate stay zero.
+
+
+ThrustShape = Literal["steps", "staircase", "chirp"]
+THRUST_SHAPES: tuple[ThrustShape, ...] = ("steps", "staircase", "chirp")
+LEAST, MOST = 0.16, 0.9
+"""Share of full thrust: below, the firmware of 2014 takes it for none; above, it clips at 0.915."""
+RAMP_S = 1.0
+STAIRS = 8
+CHIRP_HZ = (0.1, 5.0)
+
+FIXED = AbortLimits(tilt_deg=180.0, rate_dps=300.0)
+"""A fixed craft hardly turns, whatever its angle; its sensor feels the motors shake."""
+TILT_CHANGE_DEG = 20.0
+"""The reported angles of a fixed craft wander by less."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThrustProfile:
+    """shape: ``steps`` (a new level between low and high every hold_s, at random), ``staircase``
+    (eight levels up and down again, hold_s each) or ``chirp`` (a sine of 0.1 to 5 Hz). low, high:
+    shares of full thrust. seconds: between the ramps up and down of 1 s each."""
+
+    shape: ThrustShape = "steps"
+    low: float = 0.3
+    high: float = 0.8
+    hold_s: float = 0.4
+    seconds: float = 40.0
+    seed: int = 0
+
+    def thrusts(self) -> NDArray[np.int64]:
+        """16-bit thrust of every 10 ms, (k,); begins and ends with motors off."""
+        time = np.arange(round(self.seconds * RATE_HZ)) / RATE_HZ
+        if self.shape == "chirp":
+            slow, fast = CHIRP_HZ
+            turns = slow * time + (fast - slow) * time**2 / (2.0 * self.seconds)
+            share = -np.cos(2.0 * math.pi * turns)
+        else:
+            number = (time / self.hold_s + 1e-9).astype(int)
+            share = self._levels(int(number[-1]) + 1)[number]
+        levels = self.low + (self.high - self.low) * (share + 1.0) / 2.0
+        rise = np.linspace(0.0, 1.0, round(RAMP_S * RATE_HZ), endpoint=False)
+        whole = np.concatenate([levels[0] * rise, levels, levels[-1] * rise[::-1], [0.0]])
+        return np.rint(FULL_16_BIT * whole).astype(np.int64)
+
+    def _levels(self, count: int) -> NDArray[np.float64]:
+        """Levels in turn, -1 to 1."""
+        if self.shape == "steps":
+            return np.random.default_rng(self.seed).uniform(-1.0, 1.0, count)
+        up = np.linspace(-1.0, 1.0, STAIRS)
+        return np.resize(np.concatenate([up, up[-2:0:-1]]), count)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the mark in the recording."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+def require_drivable(profile: ThrustProfile) -> None:
+    """Raises BadInputError for what no motor should be driven with, saying what may be."""
+    if profile.shape not in THRUST_SHAPES:
+        raise BadInputError(f"--profile {profile.shape}: there are {', '.join(THRUST_SHAPES)}")
+    for name, value, low, high, unit in (
+        ("--low", profile.low, LEAST, MOST, "of full thrust"),
+        ("--high", profile.high, LEAST, MOST, "of full thrust"),
+        ("--hold", profile.hold_s, 0.1, 10.0, "s"),
+        ("--seconds", profile.seconds, 4.0, 180.0, "s"),
+    ):
+        if not low <= value <= high:
+            raise BadInputError(f"{name} {value:g}: must be {low:g}..{high:g} {unit}")
+    if not profile.high - profile.low >= 0.1:
+        raise BadInputError(
+            f"--low {profile.low:g}, --high {profile.high:g}: 0.1 apart at least, or the motor"
+            " shows nothing"
+        )
+
+
+def reason_to_stop(answer: Mapping[str, Any], at_rest: Mapping[str, Any], low: LowBattery) -> str:
+    """Why the motors must stop now, from the daemon's answer to a setpoint; empty while all is
+    well. at_rest: the telemetry before the motors turned. low: of this run."""
+    reason = reason_to_abort(answer, low, FIXED)
+    if reason:
+        return f"{reason}: is the craft loose?" if reason.startswith("rate") else reason
+    now = answer["telemetry"]
+    tilted = max(abs(now[name] - at_rest[name]) for name in ("roll_deg", "pitch_deg"))
+    if not tilted <= TILT_CHANGE_DEG:
+        return f"tilted by {tilted:.0f} deg since the start: is the craft loose?"
+    return ""

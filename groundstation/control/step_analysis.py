@@ -1,29 +1,35 @@
-"""A flown programme as step responses, measured and predicted, with the same metrics.
-
-The setpoints of a recording carry the time at which the host sent them. When each took effect is
-found in the motors: the row in which the controller's output on that axis jumps. The prediction
-flies the model through the same setpoints, at the battery voltage and mean thrust of the flight;
-the measured motion has no part in it. Both are then cut and averaged alike.
-"""
+"""What the steps of a flight say of its gains."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.firmware_loop import run_cascade
+from groundstation.control.firmware_loop import Plant, plant_of_model, run_cascade
 from groundstation.control.metrics import StepMetrics, step_metrics
-from groundstation.control.plant import Plant
-from groundstation.dynamics.vehicle import MIXERS, Configuration
+from groundstation.control.programme import BEGINS, LANDS, MANOEUVRE
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.vehicle import MIXERS, Configuration, load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
+
+if TYPE_CHECKING:
+    from groundstation.recording.session import Recording
+
+# A flown programme as step responses, measured and predicted, with the same metrics.
+#
+# The setpoints of a recording carry the time at which the host sent them. When each took effect is
+# found in the motors: the row in which the controller's output on that axis jumps. The prediction
+# flies the model through the same setpoints, at the battery voltage and mean thrust of the flight;
+# the measured motion has no part in it. Both are then cut and averaged alike.
+
 
 EARLIEST_S, LATEST_S = -0.45, 0.12
 """Where an edge is looked for, from the moment its setpoint was sent, and not beyond half the way
@@ -319,3 +325,52 @@ def _average(grid: Array, values: Array, edges: Sequence[Edge]) -> tuple[Array, 
         total += size * size * response
         weight += size * size
     return total / weight, min(abs(edge.after - edge.before) for edge in usable)
+
+
+# A recording of ``pid fly`` judged.
+
+
+MARGIN_NS = 200_000_000
+
+
+def analyse_recording(
+    recording: Recording,
+    model: Model | None,
+    gains: Mapping[str, float],
+    client: str,
+    release: str | None = None,
+) -> Flown:
+    """Step metrics of the programme that ``client`` flew, from its recording alone.
+
+    model: for the prediction, None for none. gains: those that were flown. release: of the
+    firmware, None: the vehicle's.
+
+    Raises BadInputError where the file holds no such programme.
+    """
+    marks = {
+        str(event.get("text")): event for event in recording.events if event.get("kind") == "mark"
+    }
+    if BEGINS not in marks or LANDS not in marks:
+        raise BadInputError(f"{recording.path}: holds no whole programme of 'pid fly'")
+    begin, end = (int(marks[name]["time_ns"]) for name in (BEGINS, LANDS))
+    details = marks.get(MANOEUVRE, {}).get("details") or {}
+    roll_deg, pitch_deg = details.get("trim_deg", (0.0, 0.0))
+    times, setpoints = setpoint_table(recording.commands, client, (roll_deg, pitch_deg))
+    inside = (times >= begin - MARGIN_NS) & (times <= end)
+    samples = recording.samples
+    host = samples.host_time_ns
+    flying = np.flatnonzero((host >= begin - MARGIN_NS) & (host <= end + MARGIN_NS))
+    recorded = recording.metadata.get("vehicle", {}).get("profile", "crazyflie1")
+    vehicle = load_vehicle(recorded) if model is None else model_vehicle(model)
+    plant = None if model is None else plant_of_model(model, release=release)
+    flown = samples[flying]
+    flown.attitude[:, :2] -= np.radians([roll_deg, pitch_deg])
+    return analyse(
+        flown,
+        times[inside],
+        setpoints[inside],
+        vehicle.configuration,
+        plant,
+        gains,
+        holds_heading=(release or vehicle.firmware) == "2.x",
+    )

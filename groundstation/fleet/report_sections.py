@@ -68,7 +68,7 @@ def add_effects(page: Page, searched: Mapping[str, Row]) -> None:
 
 def to_fly(fleet: Fleet, searched: Mapping[str, Row]) -> dict[str, list[str]]:
     """Craft -> what to fly next, because its fits do not tell: manoeuvre, and for what."""
-    from groundstation.control.uncertainty import RECORD
+    from groundstation.control.design import RECORD
     from groundstation.dynamics.meanings import CONSTANT, MOST_STDERR
 
     found: dict[str, list[str]] = {}

@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.control.design import RMS
-from groundstation.control.firmware_design import cascade_limits, closest_cascade
+from groundstation.control.design import RMS, Budget, cascade_limits, closest_cascade
 from groundstation.control.programme import Programme
-from groundstation.control.search import Budget
-from groundstation.control.step_analysis import Flown, FlownAxis
-from groundstation.control.step_recording import analyse_recording
+from groundstation.control.step_analysis import Flown, FlownAxis, analyse_recording
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.learn.journal import Landed

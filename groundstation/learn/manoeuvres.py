@@ -12,9 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.control.flight_watch import SPEED_M_S
-from groundstation.control.holding import AHEAD_S, NEAR_M, REST_S
-from groundstation.control.programme import HELD_S, RATE_HZ, carried_m, heading_rad
+from groundstation.control.programme import (
+    AHEAD_S,
+    HELD_S,
+    NEAR_M,
+    RATE_HZ,
+    REST_S,
+    SPEED_M_S,
+    carried_m,
+    heading_rad,
+)
 from groundstation.errors import BadInputError
 from groundstation.telemetry.arrays import Array
 

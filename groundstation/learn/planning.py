@@ -12,8 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from groundstation.control.holding import REST_S
-from groundstation.control.programme import HOLDS, MANOEUVRE
+from groundstation.control.programme import HOLDS, MANOEUVRE, REST_S
 from groundstation.documents import decode_json, read_document
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError, GroundStationError

@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.control.firmware_loop import gains_text, load_gains
 from groundstation.control.firmwares import firmware_of_vehicle
-from groundstation.control.flight_watch import AWAY, FAST
-from groundstation.control.gains_file import gains_text, load_gains
-from groundstation.control.programme import BEGINS, BY_HAND, LANDS, TILTED, TURNED
+from groundstation.control.programme import AWAY, BEGINS, BY_HAND, FAST, LANDS, TILTED, TURNED
 from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.documents import read_document
 from groundstation.dynamics.model import Model, load_model, model_vehicle

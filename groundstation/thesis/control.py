@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.control.evaluate import evaluate
-from groundstation.control.gains_file import load_gains
-from groundstation.control.linear_loop import run_direct
-from groundstation.control.thesis_tables import (
+from groundstation.control.firmware_loop import load_gains
+from groundstation.control.linear_loop import (
     FINDING,
     GAINS,
     ROUNDED_ROLL,
     ROUNDED_YAW,
+    evaluate,
     printed_plant,
+    run_direct,
     window_s,
 )
 from groundstation.dynamics.model import THESIS

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from importlib.resources import files
 from typing import Any, TypeVar
 
-from groundstation.control.gains_file import gains_text
-from groundstation.control.thesis_tables import GAINS
+from groundstation.control.firmware_loop import gains_text
+from groundstation.control.linear_loop import GAINS
 from groundstation.dynamics.model import Model, load_model
 from groundstation.identification.runs import Run, runs_of
 from groundstation.recording.open_recording import open_recording
@@ -46,7 +46,7 @@ RECIPES = {
     "by_body.json": "groundstation compare held.csv --model body.json --json > by_body.json",
     "by_arx.json": "groundstation compare held.csv --model arx.json --json > by_arx.json",
     "by_rates.json": "groundstation compare held.csv --model rates.json --json > by_rates.json",
-    "controllers.json": "python -m groundstation.control.thesis_tables > controllers.json",
+    "controllers.json": "python -m groundstation.control.linear_loop > controllers.json",
     "limits.json": "groundstation pid design --model thesis --loop direct --delay 2 --axis roll"
     " --json > limits.json",
     "whole.toml": "groundstation pid convert printed.toml --model thesis --to whole -o whole.toml",

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import load_settings
-from groundstation.control.gains_file import load_gains
+from groundstation.control.firmware_loop import load_gains
 from groundstation.documents import DEPTH_MOST, decode_json, decode_toml
 from groundstation.dynamics.craft import load_effects
 from groundstation.dynamics.model import load_model

@@ -126,7 +126,7 @@ def begun(*_arguments, **_more):
 @pytest.mark.parametrize(("every", "more"), ROWS)
 def test_a_fit_states_a_verdict_that_a_design_keeps_to(every, more, tmp_path, monkeypatch):
     """Each axis that is good for a design is designed, each other is refused with its reason."""
-    monkeypatch.setattr("groundstation.control.firmware_design.optimise", begun)
+    monkeypatch.setattr("groundstation.control.design.optimise", begun)
     samples, _ = recorded(32.0, craft="crazyflie21", plant="faithful", seed=11)
     file = written(tmp_path / "flight.csv", samples[::every])
     said, model = fitted(file, "--vehicle", "crazyflie21", *more)

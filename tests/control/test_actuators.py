@@ -5,9 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.control.actuators import most_control, reason_not_followed
-from groundstation.control.pid import PidGains
-from groundstation.control.thesis_loop import counts_per_control, motors_and_body
+from groundstation.control.firmwares import PidGains
+from groundstation.control.linear_loop import (
+    counts_per_control,
+    most_control,
+    motors_and_body,
+    reason_not_followed,
+)
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.simulation import steady_rev_s
 

@@ -14,44 +14,43 @@ from scipy.signal import lfilter
 
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.control.design import (
+    DESIGN_BAND,
     OVERSHOOT,
+    OVERSHOOT_MORE,
     RMS,
     SENSITIVITY,
     SETTLING,
-    Limits,
-    design_direct,
-    direct_bounds,
-)
-from groundstation.control.design_report import firmware_page, firmware_report
-from groundstation.control.firmware_design import (
-    DESIGN_BAND,
-    OVERSHOOT_MORE,
     WINDOW_S,
+    Budget,
+    Limits,
     Robustness,
     cascade_limits,
     closest_cascade,
+    corners,
     design_cascade,
+    design_direct,
+    direct_bounds,
+    draws,
+    moved,
+    pareto_front,
+    require_certain,
     robustness,
 )
 from groundstation.control.firmware_loop import (
     CascadeJudge,
     cascade_margins,
-    run_cascade,
-    step_response,
-)
-from groundstation.control.firmwares import PLATFORMS, RELEASE_2014
-from groundstation.control.gains_file import (
     firmware_of_gains,
     gains_text,
     load_gains,
+    plant_of_model,
     require_gains_of,
+    run_cascade,
+    step_response,
 )
+from groundstation.control.firmwares import PLATFORMS, RELEASE_2014, PidGains
 from groundstation.control.linear_loop import axis_plant
 from groundstation.control.metrics import step_metrics
-from groundstation.control.pid import PidGains
-from groundstation.control.plant import plant_of_model
-from groundstation.control.search import Budget, pareto_front
-from groundstation.control.uncertainty import corners, draws, moved, require_certain
+from groundstation.control.report import firmware_page, firmware_report
 from groundstation.dynamics.model import (
     THESIS,
     EffectTerm,

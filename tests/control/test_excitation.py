@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from firmware_sim.craft import StandInSettings
 from groundstation.cli.app import app
-from groundstation.control.gains_file import load_gains
+from groundstation.control.firmware_loop import load_gains
 from groundstation.control.programme import Programme
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.recording.csv_file import write_csv

@@ -13,14 +13,14 @@ from firmware_sim.craft import StandInSettings
 from groundstation.control.firmware_loop import (
     CascadeJudge,
     cascade_margins,
+    load_gains,
+    plant_of_model,
     require_gains,
     run_cascade,
     step_response,
 )
 from groundstation.control.firmwares import PLATFORMS, RELEASE_2014
-from groundstation.control.gains_file import load_gains
 from groundstation.control.metrics import step_metrics
-from groundstation.control.plant import plant_of_model
 from groundstation.control.programme import Programme
 from groundstation.control.report import flight_lines
 from groundstation.control.step_analysis import analyse
@@ -299,7 +299,7 @@ def test_gains_that_cannot_be_are_refused_by_name(gains, complaint):
 
 def test_thrust_and_supply_of_any_form_are_flown_by_one_compiled_kernel():
     """Another for arrays that are read-only took every first ``pid`` command half a minute more."""
-    from groundstation.control.flight_kernels import cascade_run
+    from groundstation.control.kernels import cascade_run
 
     plant, setpoints = plant_of_model(THESIS), np.zeros((50, 3))
     supply = np.full(50, 3700.0)

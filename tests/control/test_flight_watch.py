@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from groundstation.control.flight_watch import BLIND, NO_LIFT, FlightWatch, Seen
+from groundstation.control.programme import BLIND, NO_LIFT, FlightWatch, Seen
 from support.flight_watch import HOVERS
 
 

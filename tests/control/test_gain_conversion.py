@@ -5,13 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.control.firmware_loop import loop_response
-from groundstation.control.firmwares import RELEASE_2014
-from groundstation.control.gain_conversion import convert_gains
-from groundstation.control.linear_loop import axis_plant, direct_loop
-from groundstation.control.pid import PidGains, gain_unit
-from groundstation.control.plant import plant_of_model
-from groundstation.control.thesis_loop import whole_loop
+from groundstation.control.firmware_loop import loop_response, plant_of_model
+from groundstation.control.firmwares import RELEASE_2014, PidGains, gain_unit
+from groundstation.control.linear_loop import axis_plant, convert_gains, direct_loop, whole_loop
 from groundstation.dynamics.model import load_model
 from groundstation.errors import BadInputError
 

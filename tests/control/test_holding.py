@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from groundstation.control.holding import HOLD_MOST_S, NEAR_M, Holding, Hover
+from groundstation.control.programme import HOLD_MOST_S, NEAR_M, Holding, Hover
 from support.flight_watch import HOVERS
 
 ANSWER_S = 0.15

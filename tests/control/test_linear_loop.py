@@ -8,24 +8,22 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from groundstation.control.firmwares import PidGains
 from groundstation.control.linear_loop import (
+    GAINS,
+    ROUNDED_ROLL,
+    ROUNDED_YAW,
     DirectJudge,
     axis_plant,
     direct_margins,
     is_stable,
     most_delay,
+    printed_cases,
+    printed_plant,
     run_direct,
     step_direct,
 )
 from groundstation.control.metrics import step_metrics
-from groundstation.control.pid import PidGains
-from groundstation.control.thesis_tables import (
-    GAINS,
-    ROUNDED_ROLL,
-    ROUNDED_YAW,
-    printed_cases,
-    printed_plant,
-)
 from groundstation.dynamics.model import THESIS, ArxAxis
 from groundstation.errors import BadInputError
 

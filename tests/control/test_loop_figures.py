@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from groundstation.control.loop_figures import bode_figure, nyquist_figure, sensitivity_figure
-from groundstation.control.margins import LoopResponse
+from groundstation.control.metrics import LoopResponse
+from groundstation.control.report import bode_figure, nyquist_figure, sensitivity_figure
 
 OMEGA = np.geomspace(0.01, 100.0, 4000)
 GAIN = 4.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from groundstation.control.standing import STAND_S, Standing, trouble_of
+from groundstation.control.programme import STAND_S, Standing, trouble_of
 
 
 def answer(height_m=0.01, **changes):

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from groundstation.control.linear_loop import axis_plant, run_direct
-from groundstation.control.pid import PidGains
-from groundstation.control.plant import plant_of_model
-from groundstation.control.thesis_loop import counts_per_control, run_whole, whole_loop
+from groundstation.control.firmware_loop import plant_of_model
+from groundstation.control.firmwares import PidGains
+from groundstation.control.linear_loop import (
+    axis_plant,
+    counts_per_control,
+    run_direct,
+    run_whole,
+    whole_loop,
+)
 from groundstation.dynamics.model import THESIS, Model, simulate_arx
 from groundstation.dynamics.simulation import simulate_motor
 from groundstation.errors import BadInputError

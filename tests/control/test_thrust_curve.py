@@ -7,8 +7,7 @@ import pytest
 
 from firmware_sim.releases import curve_of
 from groundstation.cli.learn_flights import FastPlace
-from groundstation.control.firmwares import PLATFORMS, firmware_of_model
-from groundstation.control.thrust_curve import flown_curve
+from groundstation.control.firmwares import PLATFORMS, firmware_of_model, flown_curve
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.learn.manoeuvres import HOVER, Limits, flight_of

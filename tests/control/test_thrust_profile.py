@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from groundstation.control.programme import RATE_HZ, LowBattery
-from groundstation.control.thrust_profile import (
-    SHAPES,
+from groundstation.control.programme import (
+    RATE_HZ,
+    LowBattery,
     ThrustProfile,
     reason_to_stop,
     require_drivable,
 )
+from groundstation.control.programme import THRUST_SHAPES as SHAPES
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import FULL_16_BIT
 

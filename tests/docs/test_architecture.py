@@ -22,8 +22,8 @@ OUTSIDE = {"asyncio", "http", "socket", "subprocess", "threading", "serial", "us
 PARTS_MOST, MODULE_LINES, FUNCTION_LINES = 30, 399, 59
 LONG_KERNELS = {
     "firmware_sim/plant.py: derivative",
-    "groundstation/control/flight_kernels.py: cascade_many",
-    "groundstation/control/flight_kernels.py: cascade_run",
+    "groundstation/control/kernels.py: cascade_many",
+    "groundstation/control/kernels.py: cascade_run",
     "groundstation/prediction/kernels.py: observe",
     "groundstation/twin/kernels.py: score",
 }

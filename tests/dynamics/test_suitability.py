@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from groundstation.control.uncertainty import require_certain
+from groundstation.control.design import require_certain
 from groundstation.dynamics.meanings import Use, suitability, verdict
 from groundstation.dynamics.model import THESIS, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from groundstation.control.gains_file import load_gains
+from groundstation.control.firmware_loop import load_gains
 from groundstation.service.client import ask
 from support.daemons import COMMAND, Daemon
 from support.learning import begun

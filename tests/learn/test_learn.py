@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from groundstation.control.gains_file import load_gains
+from groundstation.control.firmware_loop import load_gains
 from groundstation.recording.open_recording import open_recording
 from support.daemons import COMMAND, groundstation, in_process, require_failure
 from support.learning import PHASES, begun

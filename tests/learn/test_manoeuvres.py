@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from groundstation.control.holding import AHEAD_S, NEAR_M
-from groundstation.control.programme import GRAVITY, stands_again
+from groundstation.control.programme import AHEAD_S, GRAVITY, NEAR_M, stands_again
 from groundstation.errors import BadInputError
 from groundstation.learn.manoeuvres import (
     BODY,

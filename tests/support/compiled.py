@@ -80,10 +80,9 @@ def controllers():
     import numpy as np
 
     from groundstation import evaluate, load_model, load_vehicle, vehicle_model
-    from groundstation.control.firmware_loop import CascadeJudge
+    from groundstation.control.firmware_loop import CascadeJudge, plant_of_model
+    from groundstation.control.firmwares import PidGains
     from groundstation.control.linear_loop import DirectJudge, axis_plant
-    from groundstation.control.pid import PidGains
-    from groundstation.control.plant import plant_of_model
     from groundstation.dynamics.sensing import gyro_step, settled_reading
 
     model, thesis = vehicle_model(load_vehicle("crazyflie1")), load_model("thesis")

@@ -1,6 +1,6 @@
 """A craft that hovers half a metre above where it took off, as it says so itself."""
 
-from groundstation.control.flight_watch import Seen
+from groundstation.control.programme import Seen
 
 HOVERS = Seen(
     time_s=0.0,

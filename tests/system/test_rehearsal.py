@@ -5,7 +5,7 @@ import json
 import msgspec
 import pytest
 
-from groundstation.control.gains_file import gains_text
+from groundstation.control.firmware_loop import gains_text
 from groundstation.dynamics.model import EffectTerm, Estimate, save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from support.daemons import in_process, require_failure

@@ -76,7 +76,7 @@ def test_a_part_is_made_with_its_page_and_its_commands(tmp_path):
             assert line.partition(" > ")[0] in page
     script = (tmp_path / "some" / "commands.sh").read_text()
     assert "'groundstation thesis' ran" in script
-    assert "python -m groundstation.control.thesis_tables > controllers.json" in script
+    assert "python -m groundstation.control.linear_loop > controllers.json" in script
 
 
 def test_a_folder_that_holds_something_is_refused(tmp_path):

@@ -7,8 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.control.firmware_loop import run_cascade
-from groundstation.control.plant import plant_of_model
+from groundstation.control.firmware_loop import plant_of_model, run_cascade
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.registry import EFFECTS
