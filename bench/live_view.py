@@ -18,7 +18,7 @@ from bench.daemon import at_line_rate
 from bench.page_view import in_chromium
 from bench.table import Row
 from groundstation.service.client import ask
-from groundstation.viewer.ports import free_port
+from groundstation.viewer.child import free_port
 
 FLOWN_S, FRESH_S, PATIENCE_S, WATCHED_S = 40.0, 5.0, 240.0, 20.0
 PAUSES_S = 8.0, 25.0

@@ -21,7 +21,7 @@ import psutil
 from bench.daemon import page_address, run_daemon
 from bench.table import Row
 from groundstation.service.client import ask
-from groundstation.viewer.ports import free_port
+from groundstation.viewer.child import free_port
 
 WIDTH, HEIGHT = 1280, 720
 PATIENCE_S = 180.0

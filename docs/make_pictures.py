@@ -34,10 +34,10 @@ from groundstation import (
     open_recording,
     vehicle_model,
 )
-from groundstation.discrepancy.report_figures import waterfall, where_map
+from groundstation.discrepancy.report_html import waterfall, where_map
 from groundstation.recording.rrd import write_rrd
 from groundstation.report.page import png
-from groundstation.viewer.ports import free_port
+from groundstation.viewer.child import free_port
 
 IMAGES = Path(__file__).parent / "images"
 RECORDING = Path(__file__).parents[1] / "recordings" / "stand_in_flight.mcap"

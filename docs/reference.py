@@ -19,7 +19,7 @@ from mkdocs.structure.files import File, Files
 
 import groundstation
 from groundstation.cli.app import app
-from groundstation.discrepancy import findings
+from groundstation.discrepancy import proof as findings
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.recording import formats as recording_formats
 from groundstation.service.config import Config, settings

@@ -179,8 +179,7 @@ def _improved(model: Model, report: DiscrepancyReport) -> Model:
 
 def _say(report: DiscrepancyReport, *, written: bool) -> None:
     """The outcome in plain words."""
-    from groundstation.discrepancy.report_json import why_lost
-    from groundstation.discrepancy.report_words import (
+    from groundstation.discrepancy.report_html import (
         by_weight,
         flight_plan,
         found_in_words,
@@ -188,6 +187,7 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
         next_in_words,
         possible_in_words,
     )
+    from groundstation.discrepancy.report_json import why_lost
 
     count = len(report.effects)
     verdict = {
@@ -238,7 +238,7 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
 
 
 def _say_numbers(effect: EffectFound) -> None:
-    from groundstation.discrepancy.report_words import chosen_in_words, is_zero
+    from groundstation.discrepancy.report_html import chosen_in_words, is_zero
 
     for name, estimate in effect.parameters.items():
         spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"

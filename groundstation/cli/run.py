@@ -21,7 +21,7 @@ from groundstation.cli.progress import own_terminal
 from groundstation.cli.signals import stopped_by_signals
 from groundstation.cli.terminal import say
 from groundstation.links.names import KINDS, split_name
-from groundstation.viewer.mode import ViewerMode
+from groundstation.viewer.child import ViewerMode
 
 if TYPE_CHECKING:
     from groundstation.links.event import LinkEvent

@@ -276,7 +276,7 @@ class Comparison(Result):
     turning: Turning = "body"
     warnings: Mapping[str, str] = field(default_factory=dict)
     horizons_s: tuple[float, ...] = HORIZONS_S
-    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.shown:comparison"
+    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.report_html:comparison"
 
     def _what(self) -> str:
         names = ", ".join(dict.fromkeys(one.run.name for one in self.errors))

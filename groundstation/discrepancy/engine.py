@@ -1,63 +1,612 @@
-"""Find what a model is missing: ``find_discrepancy`` is the entry."""
+"""``find_discrepancy``: from flights and a model to names, sizes and their proof."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from groundstation.comparison.comparison import compare
-from groundstation.comparison.consistency import require_consistent
-from groundstation.comparison.gap import FURTHER_EVERY_S
-from groundstation.discrepancy.blocks import Blocks, last_blocks
-from groundstation.discrepancy.conclusions import conclude, open_of
-from groundstation.discrepancy.differences import (
+from groundstation.comparison.comparison import Comparison, Judged, compare
+from groundstation.comparison.consistency import (
+    broken_rotor_sensors,
+    missing_channel,
+    require_channels,
+    require_consistent,
+)
+from groundstation.comparison.gap import CHANNELS, FURTHER_EVERY_S
+from groundstation.discrepancy.acceptance import Stage, Trial, base_changes, refusal
+from groundstation.discrepancy.disturbances import (
+    Slow,
+    best_followed,
+    is_followed,
+    slow_part,
+    with_disturbance,
+    with_imbalance,
+    with_term,
+)
+from groundstation.discrepancy.proof import (
+    LEFT,
+    Alternative,
+    Candidate,
+    Findings,
+    FittedRows,
+    FoundEffect,
+    NotShown,
+    Predicted,
+    Predictions,
+    Proof,
+    Reason,
+    Verdict,
+    Weight,
+    bare,
+    prove,
+    weight,
+)
+from groundstation.discrepancy.recurrence import (
+    BY_MASS,
     DELAY,
+    UNWEIGHED,
+    Blocks,
+    Recurrence,
+    asked_again,
+    last_blocks,
+    recurrences,
     with_differences,
     with_open_delay,
     with_unmeasured,
 )
-from groundstation.discrepancy.division import divide
-from groundstation.discrepancy.findings import (
-    Findings,
-    Verdict,
+from groundstation.discrepancy.screening import Scored, gather, without
+from groundstation.discrepancy.search import (
+    Accepted,
+    Outcome,
+    SearchState,
+    concluded,
+    search_effects,
 )
-from groundstation.discrepancy.imbalance import with_imbalance
-from groundstation.discrepancy.judge import Judge, to_follow
-from groundstation.discrepancy.proof import LEFT, FittedRows, Predictions, Proof, bare, prove
-from groundstation.discrepancy.recurrence import asked_again, recurrences
-from groundstation.discrepancy.rotor_sensor import with_sensor_lag
-from groundstation.discrepancy.search import Outcome, concluded, search_effects
-from groundstation.discrepancy.search_state import SearchState
-from groundstation.discrepancy.slow_disturbance import with_disturbance
-from groundstation.discrepancy.usable import usable
 from groundstation.dynamics.effect import CANDIDATES
-from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
-from groundstation.identification.body.setup import unseen
+from groundstation.identification.body.setup import open_delay_s, unseen, unseen_delay_s
+from groundstation.identification.division import LEAST_S, Span, best_way, cut, excitation
 from groundstation.identification.estimate import inverse
-from groundstation.identification.flight import Flight, prepare
+from groundstation.identification.flight import LEAST_AIR_S, SETTLE_S, Flight, prepare, turning
 from groundstation.identification.likelihood.motion import (
+    ALONG,
     BODY_KEYS,
+    MOTOR_KEYS,
     RENAMES,
+    SENSOR_LAG,
     VARIANTS,
     Point,
     Prior,
     Variant,
     absent,
     body_prior,
+    estimates_of,
     joined,
     model_of,
     own_of,
     point_of,
 )
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem, in_plane_hz
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, mostly_saturated, without_gaps
 from groundstation.report.page import Result
-from groundstation.telemetry.arrays import AXES
+from groundstation.telemetry.arrays import AXES, Array
+
+# Which runs are fitted, and which are held out and judged.
+
+
+PIECE_S = LEAST_AIR_S + SETTLE_S
+LONG_S = 3.0 * PIECE_S
+"""Of a piece that begins in the air, whose flight begins half a second later, and of a recording
+whose thirds are such pieces."""
+END_SHARE = 0.45
+"""Of a shorter one, for rows that may be low are left out of its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Division:
+    """fit_on and held_out: runs. judged: the held-out rows as parts of whole runs, whose rows
+    before only tell a state. what: which rows are held out, in words."""
+
+    fit_on: list[Run]
+    held_out: list[Run]
+    judged: list[Judged]
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Air:
+    """A run between its first and its last row with turning motors.
+
+    first: that row. moved: what moves the craft (n, 4) from there on, its mean where they stand in
+    between. seconds: in which they turn.
+    """
+
+    run: Run
+    first: int
+    moved: Array
+    seconds: float
+
+    def with_ground(self, spans: Sequence[Span]) -> list[Span]:
+        """Spans of these rows as spans of the run, the outer ones with what is on the ground."""
+        end, last = len(self.moved), len(self.run)
+        return [(a + self.first if a else 0, b + self.first if b < end else last) for a, b in spans]
+
+
+def divide(
+    flights: Sequence[Sequence[Run]], held: Sequence[Sequence[Run]], configuration: str
+) -> Division:
+    """Hold out ``held``, or else a third of each recording (``identification.division``) that is
+    long enough for it; where none is, a whole recording.
+
+    flights, held: the runs of each recording. Raises BadInputError where nothing can be held out.
+    """
+    every = [run for part in flights for run in part]
+    if held:
+        return _given(every, [run for part in held for run in part], "")
+    flown = [[_flown(run, configuration) for run in part] for part in flights]
+    seconds = [sum(one.seconds for one in part) for part in flown]
+    if not any(seconds):  # that nothing flies is told by what is asked next
+        return _given(every, every, "")
+    long = [part for part, one in zip(flown, seconds, strict=True) if one >= LONG_S]
+    if not long:
+        return _whole(flown, seconds)
+    period_s = min(one.run.period_s for part in long for one in part)
+    moved = [np.vstack([one.moved for one in part]) for part in long]
+    way = best_way(moved, LEAST_S / period_s)
+    fit_on = [
+        run for part, one in zip(flights, seconds, strict=True) if one < LONG_S for run in part
+    ]
+    rest, judged = [], []
+    for part in long:
+        cuts = cut(way, [len(one.moved) for one in part])
+        for one, (fitted, spans) in zip(part, cuts, strict=True):
+            fit_on += [one.run[a:b] for a, b in one.with_ground(fitted)]
+            for a, b in one.with_ground(spans):
+                rest.append(one.run[a:b])
+                judged.append(Judged(one.run, a, b))
+    which = "" if len(long) == len(flights) else f" of those of {LONG_S:.0f} s and more"
+    return Division(fit_on, rest, judged, way + which)
+
+
+def _given(fit_on: list[Run], held: list[Run], what: str) -> Division:
+    """Whole runs on either side."""
+    return Division(fit_on, held, [Judged(run, 0, len(run)) for run in held], what)
+
+
+def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Division:
+    """Short flights: the recording is held out whose excitation divides best, of one alone its
+    last seconds."""
+    if len(flown) < 2:
+        return _end(flown[0], seconds[0])
+    energy = np.array([sum(_energy(one) for one in part) for part in flown])
+    share = energy / np.maximum(energy.sum(axis=0), 1e-300)
+    most = int(np.argmax(np.minimum(share, 0.5 * (1.0 - share)).min(axis=1)))
+    fit_on = [one.run for number, part in enumerate(flown) if number != most for one in part]
+    rest = [one.run for one in flown[most]]
+    return _given(fit_on, rest, f"all of {rest[0].name}")
+
+
+def _end(part: Sequence[_Air], seconds: float) -> Division:
+    """A short recording whose longest run leaves the fit as much as is judged."""
+    longest = max(part, key=lambda one: one.seconds)
+    run, name = longest.run, longest.run.name
+    if longest.seconds < 2.0 * PIECE_S:
+        raise BadInputError(
+            f"{name}: of {seconds:.1f} s in the air none can be held out to be judged on; give"
+            f" another flight with --validate, or one of {LONG_S:.0f} s"
+        )
+    held_s = max(PIECE_S, END_SHARE * longest.seconds)
+    edge = longest.first + len(longest.moved) - round(held_s / run.period_s)
+    fit_on = [one.run for one in part if one is not longest]
+    what = f"last {held_s:.1f} s"
+    return Division([*fit_on, run[:edge]], [run[edge:]], [Judged(run, edge, len(run))], what)
+
+
+def _energy(one: _Air) -> Array:
+    """Of what moves the craft (4,), over time."""
+    if not len(one.moved):
+        return np.zeros(4)
+    away = one.moved - one.moved.mean(axis=0)
+    return (away**2).sum(axis=0) * one.run.period_s
+
+
+def _flown(run: Run, configuration: str) -> _Air:
+    whole = without_gaps(run)
+    moved, flying = excitation(whole, configuration), turning(whole)
+    if not flying.any():
+        return _Air(run, 0, moved[:0], 0.0)
+    moved[~flying] = moved[flying].mean(axis=0)
+    first, last = np.flatnonzero(flying)[[0, -1]].tolist()
+    seconds = float(flying.sum()) * run.period_s
+    return _Air(run, first, moved[first : last + 1], seconds)
+
+
+# What of recordings a search can use: flights with every channel that is needed, that PWM steers,
+# and rotor sensors that follow it.
+
+
+Groups = Sequence[Sequence[Sequence[Run]]]
+"""To be fitted and held out, of recordings, of runs."""
+
+
+def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[str]]:
+    """The groups without what a search cannot use, and what was left out, in words.
+
+    Raises BadInputError where all of a group are of no use, and one for want of a channel.
+    """
+    useful, useless = _without_useless(groups)
+    require_channels([run for group in useful for part in group for run in part])
+    sound, broken = _without_broken_sensors(useful, model)
+    return sound, [*useless, *broken]
+
+
+def _without_useless(groups: Groups) -> tuple[list[list[list[Run]]], list[str]]:
+    """Runs without those that tell nothing, where others of their group are left, and what was left
+    out."""
+    kept: list[list[list[Run]]] = []
+    warnings: list[str] = []
+    for group in groups:
+        parts = [[(run, _useless(run)) for run in part] for part in group if part]
+        if not any(why is None for part in parts for _, why in part):
+            kept.append([[run for run, _ in part] for part in parts])
+            continue
+        rest = [[run for run, why in part if why is None] for part in parts]
+        kept.append([part for part in rest if part])
+        for part in parts:
+            alone = all(why is not None for _, why in part)
+            lines = [f"{_called(run, alone)}: left out, {why}" for run, why in part if why]
+            warnings += lines[:1] if alone else lines
+    return kept, warnings
+
+
+def _useless(run: Run) -> str | None:
+    """Why a search has nothing of a run."""
+    missing = missing_channel(run)
+    if missing is not None:
+        return f"{missing} is not in the recording"
+    return "a motor is saturated in most rows" if mostly_saturated(run) else None
+
+
+def _called(run: Run, alone: bool) -> str:
+    """A recording, or one run of it by its seconds."""
+    first = run.start_s - run.recording_start_s
+    return run.name if alone else f"{run.name}, {first:.0f} to {first + run.seconds:.0f} s"
+
+
+def _without_broken_sensors(
+    groups: Groups, model: Model
+) -> tuple[list[list[list[Run]]], list[str]]:
+    """Runs without rotor speeds that do not follow PWM and voltage, and what was left out."""
+    warnings: dict[str, str] = {}
+
+    def mended(run: Run) -> Run:
+        broken = broken_rotor_sensors(run, model)
+        if not broken:
+            return run
+        motors = " and ".join(f"M{rotor + 1}" for rotor in broken)
+        warnings[run.name] = (
+            f"{run.name}: the measured speed of {motors} does not follow its PWM and voltage (a"
+            " dead sensor, or its column is another motor's): rotor speeds are taken from the motor"
+            " model"
+        )
+        return replace(run, rotor_rev_s=np.full_like(run.rotor_rev_s, np.nan))
+
+    mended_groups = [[[mended(run) for run in part] for part in group] for group in groups]
+    return mended_groups, list(warnings.values())
+
+
+# How a search judges what it found by predictions.
+#
+# What drifts slowly is in every prediction and belongs to no effect of a search: beside it one that
+# is right may seem to predict worse. So it is followed where effects are weighed. Whether it has a
+# name is asked of the final model (``slow_disturbance``), and so is whether that predicts worse.
+
+
+CLEARLY_T = 2.0
+"""Standard errors by which a channel is worse beside what is followed. There one is no reason: how
+much of a channel the follower takes depends on the model a little, and that the given model as it
+is predicts nothing better is asked of the final one."""
+
+
+class Judge:
+    """Fitted rows as the model at a point predicts them, beside what the given model says; the
+    observer follows what is ``slow`` in both alike, where it is given."""
+
+    def __init__(
+        self, fitted: FittedRows, model_at: Callable[[Point], Model], slow: Slow | None = None
+    ) -> None:
+        self._given, self._model_at, self._slow = fitted, model_at, slow
+        given = fitted.before.model
+        self._beside = FittedRows(fitted.of(with_term(given, slow))) if slow else fitted
+
+    def __call__(self, point: Point) -> Predicted:
+        model = self._model_at(point)
+        if self._slow is None:
+            return self._given.judge(model)
+        found = self._beside.judge(with_term(model, self._slow))
+        if not found.worse:
+            return found
+        # A channel that is predicted better where nothing is followed is no witness, nor is one
+        # within noise that hardly changes.
+        better = self._given.of(model).rms < self._given.before.rms
+        before = self._beside.before
+        hardly = LEFT * before.rms / before.noise_floor
+        worse = {
+            channel: t
+            for channel, t in found.worse.items()
+            if t >= CLEARLY_T
+            and not better[channel]
+            and not found.gaps[channel] <= min(1.0, hardly[channel])
+        }
+        return replace(found, worse=worse)
+
+    def weights(self, point: Point, accepted: Sequence[Accepted]) -> dict[str, Weight]:
+        """What each of these effects carries, by label; none of those that touch only channels in
+        which nothing is left to explain."""
+        improved, found = self._model(point), {}
+        near = self._beside.of(improved)
+        now = self._beside.squares(improved)
+        for one in accepted:
+            left = self._beside.squares(self._model(without(point, one.variant)), near)
+            carried = weight(self._given.before.gap, now, left, one.evidence.channels)
+            if carried is not None:
+                found[one.variant.label] = carried
+        return found
+
+    def _model(self, point: Point) -> Model:
+        """With what is slow."""
+        model = self._model_at(point)
+        return model if self._slow is None else with_term(model, self._slow)
+
+
+def to_follow(fitted: Comparison) -> Slow | None:
+    """What a model leaves of fitted rows that lasts, as predictions are best; None: nothing does,
+    or the model says of itself what is slow."""
+    if is_followed(fitted.model):
+        return None
+    slow = slow_part(fitted.errors)
+    return best_followed(slow, fitted) if slow.is_there else None
+
+
+# The lag of the sensor behind recorded rotor speeds: its name, where the given model has none.
+#
+# Wherever rows show speeds it is fitted along with the base constants, and so no candidate that
+# joins. In the end it is weighed as one that did: against the fit without it, through the same
+# gates. One that the model has stays as it was given (``Problem.base_keys``).
+
+
+def with_sensor_lag(outcome: Outcome, problem: Problem, folds: Sequence[Flight]) -> Outcome:
+    """The outcome of a search in which the sensor's lag is one of the effects, or refused."""
+    final = outcome.final
+    if SENSOR_LAG not in final.keys:
+        return outcome
+    (evidence,) = gather(problem, folds, final, [ALONG])
+    why = refusal(Stage.WEIGHED, Trial(ALONG, final, evidence=evidence))
+    size, error = final.point[SENSOR_LAG], final.stderr()[SENSOR_LAG]
+    scored = Scored(ALONG, evidence.drop, np.array([size]), np.array([error]))
+    return replace(
+        outcome,
+        accepted=[*outcome.accepted, *([] if why else [Accepted(ALONG, evidence)])],
+        refused={**outcome.refused, **({ALONG.label: why} if why else {})},
+        held_out={**outcome.held_out, ALONG.label: evidence.held_out},
+        scores=[*outcome.scores, scored],
+    )
+
+
+# What a search came to, told: effects with their evidence, candidates, what could not be shown.
+
+
+SHOWN = 5.0
+"""An effect can be shown when its usual size is so many standard errors."""
+
+
+def conclude(
+    outcome: Outcome,
+    errors: Mapping[str, float],
+    recurrence: Mapping[str, Recurrence],
+    problem: Problem,
+    model: Model,
+    known: Sequence[Variant],
+    lost: dict[str, str],
+    warnings: list[str],
+) -> Findings:
+    """The findings, but for what predictions say of the verdict.
+
+    errors: standard errors by key that are told. recurrence: by label. known: effects of the given
+    model. lost: as in ``Findings``.
+    """
+    final, residual = outcome.final, outcome.residual
+    given = tuple(key for v in known for key in v.keys)
+    named, possible = _named_and_possible(outcome, recurrence, problem)
+    others = [one for one in outcome.accepted if one not in named]
+    unnamed = (*given, *(key for one in others for key in one.variant.keys))
+
+    def told(one: Accepted, order: int, keys: tuple[str, ...]) -> FoundEffect:
+        again = recurrence.get(one.variant.label)
+        return _effect(one, again, order, outcome, errors, keys, model, problem.frame.own)
+
+    keys, effects = unnamed, []
+    for order, one in enumerate(named, 1):
+        keys = (*keys, *one.variant.keys)
+        effects.append(told(one, order, keys))
+    warnings += _not_measured(problem, model, effects)
+    verdict = Verdict.EFFECTS_FOUND
+    if not effects and residual.verdict == "structured":
+        verdict = Verdict.UNEXPLAINED
+    elif not effects:
+        verdict = Verdict.NO_DISCREPANCY
+    base = (*BODY_KEYS, *MOTOR_KEYS, *given)
+    changed = _with_renamed(final.point, outcome, problem)
+    return Findings(
+        verdict=verdict,
+        effects=tuple(effects),
+        possible=tuple(
+            replace(told(one, 0, unnamed), refused=outcome.refused[one.variant.label])
+            for one in possible
+        ),
+        base=model,
+        given=model,
+        moved=model_of(final.point, errors, unnamed, model, problem.frame.own),
+        base_changes=base_changes(problem, final, changed, errors, base),
+        model=model_of(final.point, errors, keys, model, problem.frame.own),
+        candidates=_candidates(outcome),
+        not_shown=tuple(_not_shown(outcome.scores, {effect.name for effect in effects})),
+        lost=lost,
+        residual=residual,
+        warnings=tuple(warnings),
+    )
+
+
+def _not_measured(problem: Problem, model: Model, effects: Sequence[FoundEffect]) -> Iterator[str]:
+    if not problem.known_motor:
+        yield (
+            "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
+            " effects of voltage are taken for it"
+        )
+    if model.vehicle_profile is None and any(_is_by_mass(effect) for effect in effects):
+        yield (
+            f"sizes in kg and N are for the mass of the profile,"
+            f" {1e3 * model_vehicle(model).mass_kg:.3g} g, and their errors hold"
+            f" {100.0 * UNWEIGHED:g} % for it: weigh the craft, and fit with --mass"
+        )
+
+
+def _is_by_mass(effect: FoundEffect) -> bool:
+    return any(one.unit.startswith(BY_MASS) for one in effect.parameters.values())
+
+
+def _with_renamed(point: Point, outcome: Outcome, problem: Problem) -> Point:
+    """The point with constants moved by the accepted effects that are another name for it."""
+    changed = dict(point)
+    for one in outcome.accepted:
+        rename = one.variant.definition.renames
+        if rename is not None:
+            size = point[one.variant.sizes[0]]
+            changed[rename.constant] = rename.moved(problem.start[rename.constant], size)
+    return changed
+
+
+def open_of(flights: Sequence[Flight]) -> float:
+    """Delay (s) that the rows of these flights leave open; measured rotor speeds know what the
+    controller did within a row."""
+    modelled = [flight for flight in flights if not flight.rotor_measured]
+    return max(
+        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
+    )
+
+
+def _named_and_possible(
+    outcome: Outcome, recurrence: Mapping[str, Recurrence], problem: Problem
+) -> tuple[list[Accepted], list[Accepted]]:
+    """Effects that pass the last gates, and those that are no more than possible; why the others
+    have no name is in ``outcome.refused`` then."""
+    open_s = open_of(problem.flights)
+    named, possible = [], []
+    for one in outcome.accepted:
+        label = one.variant.label
+        trial = Trial(
+            one.variant,
+            outcome.final,
+            open_s=open_s,
+            recurrence=recurrence[label].share if label in recurrence else 1.0,
+            errors=outcome.errors,
+            weight=outcome.weights.get(label),
+        )
+        why = refusal(Stage.NAMED, trial)
+        if why is None:
+            named.append(one)
+            continue
+        outcome.refused[label] = why
+        if why.reason is not Reason.NEGLIGIBLE:
+            possible.append(one)
+    return named, possible
+
+
+def _effect(
+    one: Accepted,
+    again: Recurrence | None,
+    order: int,
+    outcome: Outcome,
+    errors: Mapping[str, float],
+    keys: tuple[str, ...],
+    model: Model,
+    own: Sequence[Variant],
+) -> FoundEffect:
+    name, evidence = one.variant.effect, one.evidence
+    point = outcome.final.point
+    return FoundEffect(
+        name=name,
+        order=order,
+        parameters=estimates_of(one.variant, point, errors),
+        evidence={
+            "likelihood_ratio": evidence.drop,
+            "t": evidence.t,
+            "held_out": evidence.held_out,
+            "held_out_expected": evidence.expected,
+        },
+        alternatives=tuple(
+            Alternative(other.name, other.margin, _manoeuvre(name, other.name, own), other.share)
+            for other in (again.instead if again else ())
+        ),
+        recurrence=again.share if again else math.nan,
+        channels=tuple(CHANNELS[c] for c in evidence.channels),
+        adds=one.variant.definition.adds,
+        model=model_of(point, errors, keys, model, own),
+    )
+
+
+def _manoeuvre(name: str, other: str, own: Sequence[Variant]) -> str:
+    """What separates two effects, from the catalogue, whichever of the two knows it."""
+    effects = {**EFFECTS, **{one.effect: one.definition for one in own}}
+    for one, two in ((name, other), (other, name)):
+        for confusion in effects[one].confused_with:
+            if confusion.other == two:
+                return confusion.manoeuvre
+    return effects[other].excited_by
+
+
+def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
+    fitted = {one.variant.label for one in outcome.accepted}
+    found = []
+    for one in outcome.scores:
+        label = one.variant.label
+        parameters = {
+            key.partition(".")[2]: Estimate(float(size + absent(key)), float(error), "")
+            for key, size, error in zip(one.variant.sizes, one.values, one.errors, strict=True)
+        }
+        why = outcome.refused.get(label)
+        held_out = outcome.held_out.get(label, 0.0)
+        accepted = label in fitted and why is None
+        found.append(Candidate(label, parameters, one.drop, one.t, held_out, accepted, why))
+    return tuple(found)
+
+
+def _not_shown(scores: Sequence[Scored], named: Container[str]) -> list[NotShown]:
+    """Effects whose usual size would be lost in the noise of these recordings; no named ones."""
+    found = []
+    for one in scores:
+        if one.variant.effect in named:
+            continue
+        effect = one.variant.definition
+        sizes = (unknown for unknown in one.variant.unknowns if unknown.parameter.kind == "size")
+        for unknown, error in zip(sizes, one.errors.tolist(), strict=True):
+            if SHOWN * error > unknown.worth:
+                name, unit = unknown.key.partition(".")[2], unknown.unit
+                stderr = error if math.isfinite(error) else None
+                found.append(
+                    NotShown(effect.name, name, stderr, unknown.worth, unit, effect.excited_by)
+                )
+    return found
+
+
+# Find what a model is missing: ``find_discrepancy`` is the entry.
+
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""
@@ -81,7 +630,7 @@ class Discrepancy(Result):
     findings: Findings
     proof: Proof
     held_out: str = ""
-    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.shown:discrepancy"
+    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.report_html:discrepancy"
 
     @property
     def warnings(self) -> tuple[str, ...]:

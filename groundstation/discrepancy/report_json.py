@@ -10,18 +10,21 @@ import numpy as np
 from groundstation.comparison.comparison import Comparison, Place
 from groundstation.comparison.gap import CHANNELS, HORIZONS_S, PER_SI, UNITS, overall
 from groundstation.comparison.noise_floor import SOURCE
-from groundstation.discrepancy.acceptance import WORTH
-from groundstation.discrepancy.base_constants import in_words
+from groundstation.discrepancy.acceptance import WORTH, in_words
 from groundstation.discrepancy.engine import Discrepancy
-from groundstation.discrepancy.findings import (
+from groundstation.discrepancy.proof import (
+    LEFT,
     Alternative,
     Candidate,
+    Explained,
     Findings,
     FoundEffect,
+    Left,
     NotShown,
+    Proof,
     Reason,
+    what_is_left,
 )
-from groundstation.discrepancy.proof import LEFT, Explained, Left, Proof, what_is_left
 from groundstation.dynamics.meanings import suitability, verdict
 from groundstation.dynamics.model import Disturbance, Estimate
 

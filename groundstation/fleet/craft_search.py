@@ -131,7 +131,7 @@ def _told(found: Discrepancy) -> Row:
     """The outcome in the table's columns."""
     import msgspec
 
-    from groundstation.discrepancy.base_constants import in_words
+    from groundstation.discrepancy.acceptance import in_words
     from groundstation.discrepancy.proof import what_is_left
 
     findings, proof = found.findings, found.proof

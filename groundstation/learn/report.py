@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.control.step_analysis import Flown as Steps
-from groundstation.discrepancy.report_figures import evidence_bars, waterfall
-from groundstation.discrepancy.report_words import meaning
+from groundstation.discrepancy.report_html import evidence_bars, meaning, waterfall
 from groundstation.dynamics.meanings import meaning_of, title_of
 from groundstation.learn.found import open_words
 from groundstation.learn.gains import mean_missed

@@ -14,8 +14,7 @@ from typing import Any
 
 from groundstation.errors import BadInputError, GroundStationError, NotAuthorisedError
 from groundstation.service.config import PageConfig
-from groundstation.viewer.child import Child
-from groundstation.viewer.ports import listen_on
+from groundstation.viewer.child import Child, listen_on
 
 KEY_BYTES = 32
 KEY_VARIABLE = "GROUNDSTATION_PAGE_KEY"

@@ -1,14 +1,59 @@
-"""A supervised child process that cannot outlive this one, and whose last words are kept."""
+"""Child processes of the live view: their mode, their ports, their end."""
 
 from __future__ import annotations
 
 import contextlib
+import enum
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+
+from groundstation.errors import TakenError
+
+# How the live view is shown.
+
+
+class ViewerMode(enum.StrEnum):
+    OFF = "off"
+    """No viewer."""
+    SERVE = "serve"
+    """Serve the live view on this machine, for a browser or a rerun viewer."""
+    SPAWN = "spawn"
+    """Serve, and open a rerun window."""
+
+
+# Ports of the loopback interface.
+
+
+def listen_on(port: int, name: str) -> socket.socket:
+    """A port of 127.0.0.1. Raises TakenError where another program holds it."""
+    listening = socket.socket()
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(("127.0.0.1", port))
+        listening.listen(64)
+    except OSError as error:
+        listening.close()
+        raise TakenError(
+            f"{name} port {port} is taken ({error.strerror}): end the program that holds it "
+            "or choose another port"
+        ) from error
+    return listening
+
+
+def free_port(address: str) -> int:
+    """A port of ``address`` that nobody has at the moment."""
+    with socket.socket() as probe:
+        probe.bind((address, 0))
+        return int(probe.getsockname()[1])
+
+
+# A supervised child process that cannot outlive this one, and whose last words are kept.
+
 
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
 _TAIL_BYTES = 4096

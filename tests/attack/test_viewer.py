@@ -176,7 +176,7 @@ def test_half_a_request_is_not_waited_for_for_ever(monkeypatch):
 
 
 def test_the_real_view_is_served_through_the_relay_alone(tmp_path):
-    from groundstation.viewer.ports import free_port
+    from groundstation.viewer.child import free_port
     from groundstation.viewer.viewer import Viewer, ViewerMode
 
     async def session():
@@ -250,7 +250,7 @@ def answered(peer, ended):
 
 def test_a_native_viewer_that_has_stopped_is_dropped_and_one_that_lives_is_not():
     """Through the real server: SIGSTOP, a hung connection, a laptop that was closed."""
-    from groundstation.viewer.ports import free_port
+    from groundstation.viewer.child import free_port
     from groundstation.viewer.viewer import Viewer, ViewerMode
 
     told, ended = [], threading.Event()

@@ -13,10 +13,8 @@ from groundstation.discrepancy.acceptance import (
     is_significant,
     refusal,
 )
-from groundstation.discrepancy.evidence import Evidence
-from groundstation.discrepancy.findings import Reason
-from groundstation.discrepancy.screening import Scored
-from groundstation.discrepancy.weight import Weight
+from groundstation.discrepancy.proof import Reason, Weight
+from groundstation.discrepancy.screening import Evidence, Scored
 from groundstation.identification.body.setup import open_delay_s
 from groundstation.identification.likelihood.motion import VARIANTS
 from groundstation.identification.likelihood.problem import Fit

@@ -2,9 +2,8 @@
 
 import pytest
 
-from groundstation.discrepancy.backward_step import drop_failing
-from groundstation.discrepancy.findings import Reason
-from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.discrepancy.proof import Reason
+from groundstation.discrepancy.search import Accepted, SearchState, drop_failing
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem

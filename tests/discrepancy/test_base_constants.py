@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.acceptance import KEEP
-from groundstation.discrepancy.base_constants import (
+from groundstation.discrepancy.acceptance import (
     EVERY_HZ,
+    KEEP,
     base_changes,
     confirmation,
     in_words,

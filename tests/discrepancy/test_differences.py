@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.blocks import Blocks
-from groundstation.discrepancy.differences import (
+from groundstation.discrepancy.recurrence import (
     DELAY,
     UNMEASURED_MOTORS,
     UNWEIGHED,
+    Blocks,
     difference,
     with_differences,
     with_open_delay,

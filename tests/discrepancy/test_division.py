@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.division import divide
+from groundstation.discrepancy.engine import divide
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import CHANNELS, Run
 

@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
-from groundstation.discrepancy.drift import SHARES, drift_of, spread_of
+from groundstation.discrepancy.disturbances import SHARES, drift_of, spread_of
 
 STEP_S, PACES_S = 0.5, (0.3, 1.0, 3.0, 10.0)
 

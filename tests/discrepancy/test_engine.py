@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from groundstation.discrepancy.base_constants import unconfirmed
+from groundstation.discrepancy.acceptance import unconfirmed
 from groundstation.discrepancy.engine import find_effects
-from groundstation.discrepancy.findings import Verdict
+from groundstation.discrepancy.proof import Verdict
 from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.evidence import (
+from groundstation.discrepancy.screening import (
     beyond_unseen,
     cross_validated,
     folds_of,

@@ -8,11 +8,9 @@ import pytest
 
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.acceptance import LEAST_T
+from groundstation.discrepancy.disturbances import shaken_most, windows_of, with_imbalance
 from groundstation.discrepancy.engine import find_effects
-from groundstation.discrepancy.findings import Reason, Verdict
-from groundstation.discrepancy.imbalance import shaken_most, with_imbalance
-from groundstation.discrepancy.proof import FittedRows
-from groundstation.discrepancy.vibration import windows_of
+from groundstation.discrepancy.proof import FittedRows, Reason, Verdict
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import Frame, point_of, spin_rotors

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from groundstation.comparison.comparison import compare
-from groundstation.discrepancy.judge import Judge, to_follow
+from groundstation.discrepancy.engine import Judge, to_follow
 from groundstation.discrepancy.proof import FittedRows
 from support.flights import base_model
 from support.flights import searched as flights

@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from groundstation.comparison.gap import CHANNELS
-from groundstation.discrepancy.findings import Predicted, Reason
-from groundstation.discrepancy.prediction_gate import answer_to_predictions
-from groundstation.discrepancy.weight import Weight
+from groundstation.discrepancy.proof import Predicted, Reason, Weight
+from groundstation.discrepancy.search import answer_to_predictions
 
 
 @dataclass

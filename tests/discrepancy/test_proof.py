@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from groundstation.discrepancy import engine
+from groundstation.discrepancy.disturbances import with_disturbance
 from groundstation.discrepancy.engine import find_discrepancy
-from groundstation.discrepancy.findings import Verdict
-from groundstation.discrepancy.proof import WORSE_T, FittedRows, explained_by, worse_channels
-from groundstation.discrepancy.slow_disturbance import with_disturbance
+from groundstation.discrepancy.proof import (
+    WORSE_T,
+    FittedRows,
+    Verdict,
+    explained_by,
+    worse_channels,
+)
 from support.findings import findings
 from support.flights import base_model, judged
 from support.flights import searched as flights

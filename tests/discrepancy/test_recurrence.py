@@ -5,10 +5,14 @@ from itertools import chain, combinations
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.blocks import by_blocks, last_blocks
-from groundstation.discrepancy.findings import Reason, Refusal
-from groundstation.discrepancy.recurrence import asked_again, recurrences
-from groundstation.discrepancy.subsets import Subsets
+from groundstation.discrepancy.proof import Reason, Refusal
+from groundstation.discrepancy.recurrence import (
+    Subsets,
+    asked_again,
+    by_blocks,
+    last_blocks,
+    recurrences,
+)
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import VARIANTS, absent, point_of
 from groundstation.identification.likelihood.problem import Problem

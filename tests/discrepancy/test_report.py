@@ -8,9 +8,14 @@ import pytest
 
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.gap import CHANNELS
-from groundstation.discrepancy.findings import Candidate, Leftover, Reason, Refusal, Verdict
-from groundstation.discrepancy.report_figures import evidence_bars, waterfall, where_map
-from groundstation.discrepancy.report_html import compare_page, discrepancy_page
+from groundstation.discrepancy.proof import Candidate, Leftover, Reason, Refusal, Verdict
+from groundstation.discrepancy.report_html import (
+    compare_page,
+    discrepancy_page,
+    evidence_bars,
+    waterfall,
+    where_map,
+)
 from groundstation.discrepancy.report_json import (
     CompareReport,
     DiscrepancyReport,

@@ -5,9 +5,8 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from groundstation.discrepancy.findings import NotShown, Verdict
-from groundstation.discrepancy.report_json import EffectFound, Step
-from groundstation.discrepancy.report_words import (
+from groundstation.discrepancy.proof import NotShown, Verdict
+from groundstation.discrepancy.report_html import (
     advice_of,
     by_weight,
     flight_plan,
@@ -16,6 +15,7 @@ from groundstation.discrepancy.report_words import (
     next_in_words,
     possible_in_words,
 )
+from groundstation.discrepancy.report_json import EffectFound, Step
 from groundstation.dynamics.model import Estimate
 from support.findings import NAME, findings, proof, report
 

@@ -8,11 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
 from groundstation.comparison.comparison import compare
-from groundstation.discrepancy.slow_disturbance import (
-    slow_part,
-    standard_errors,
-    with_disturbance,
-)
+from groundstation.discrepancy.disturbances import slow_part, standard_errors, with_disturbance
 from support.flights import base_model
 from support.flights import searched as flights
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.usable import usable
+from groundstation.discrepancy.engine import usable
 from groundstation.errors import BadInputError
 from support.flights import BASE, flown
 

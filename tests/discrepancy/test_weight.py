@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.weight import weight
+from groundstation.discrepancy.proof import weight
 
 GIVEN_GAP = 3.0
 SECONDS = 50

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from groundstation.discrepancy.findings import NotShown
+from groundstation.discrepancy.proof import NotShown
 from groundstation.identification.likelihood.motion import KEYS
 from groundstation.learn.found import found_line, known_errors, named_effects, read_found
 from support.findings import NAME, findings, proof, report

@@ -4,18 +4,19 @@ import functools
 
 from groundstation.comparison.gap import FURTHER_EVERY_S
 from groundstation.discrepancy.engine import Discrepancy
-from groundstation.discrepancy.findings import (
+from groundstation.discrepancy.proof import (
     Alternative,
     Candidate,
+    Explained,
     Findings,
     FoundEffect,
     Leftover,
     NotShown,
+    Proof,
     Reason,
     Refusal,
     Verdict,
 )
-from groundstation.discrepancy.proof import Explained, Proof
 from groundstation.discrepancy.report_json import discrepancy_report
 from groundstation.dynamics.model import Estimate
 from support.flights import BASE, MEDIUM, affected, hidden, judged

@@ -18,8 +18,7 @@ from typing import Any
 from groundstation.errors import GroundStationError
 from groundstation.rerun_log.channels import DEVICE_TIME
 from groundstation.rerun_log.installed import rerun_program
-from groundstation.viewer.child import Child
-from groundstation.viewer.ports import free_port
+from groundstation.viewer.child import Child, free_port
 
 START_S = 60.0
 PAINT_S = 30.0

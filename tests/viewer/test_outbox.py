@@ -14,7 +14,7 @@ from groundstation.viewer.messages import (
     SamplesMessage,
     decode_message,
 )
-from groundstation.viewer.outbox import Outbox
+from groundstation.viewer.viewer import Outbox
 
 
 @pytest.fixture

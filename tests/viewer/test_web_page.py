@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from groundstation.viewer.web_page import WebPage
+from groundstation.viewer.relay import WebPage
 
 RERUNS = (
     b'<html><link rel="icon" href="favicon.ico"><link href="https://fonts.example/css" rel='
@@ -66,7 +66,7 @@ def test_the_slowest_browser_counts_until_it_tells_nothing(monkeypatch):
         _, content = asked(f"POST /behind?{who}", age, viewers=2, page=page)
         assert json.loads(content) == {"connected": True}
     assert page.behind_s == 7.5
-    monkeypatch.setattr("groundstation.viewer.web_page.TOLD_S", -1.0)
+    monkeypatch.setattr("groundstation.viewer.relay.TOLD_S", -1.0)
     assert page.behind_s == 0.0
 
 
