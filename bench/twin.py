@@ -26,8 +26,7 @@ from firmware_sim.effects.catalogue import draw
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, load_model
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.twin.alarm import Episode
-from groundstation.twin.twin import Twin, in_words
+from groundstation.twin.twin import Episode, Twin, in_words
 
 PLANTS = ("reduced", "faithful")
 KNOWN = (

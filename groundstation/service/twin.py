@@ -18,8 +18,7 @@ from groundstation.links.event import LinkEvent
 from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:
-    from groundstation.twin.alarm import Episode
-    from groundstation.twin.twin import Shown, Twin
+    from groundstation.twin.twin import Episode, Shown, Twin
 
 PERIOD_S = 0.25
 """How often the twin looks at what has come."""
@@ -247,7 +246,7 @@ class TwinService:
 
 
 def _details(episode: Episode) -> dict[str, Any]:
-    from groundstation.twin.alarm import LIMIT
+    from groundstation.twin.twin import LIMIT
 
     return {
         "channel": episode.place.channel,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.identification.runs import flights_of, runs_of
-from groundstation.twin.rows import Rows
+from groundstation.twin.signals import Rows
 from support.flights import recorded
 
 

@@ -11,8 +11,8 @@ from groundstation.errors import BadInputError
 from groundstation.identification.runs import runs_of
 from groundstation.prediction.prediction import fly_ahead, observe_run
 from groundstation.telemetry.samples import SampleBatch
-from groundstation.twin.rolling import Rolling
 from groundstation.twin.signals import KINDS
+from groundstation.twin.twin import Rolling
 from support.flights import BASE
 from support.flights import twin_flight as flight
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from groundstation.telemetry.samples import SampleBatch
-from groundstation.twin.alarm import LIMIT
-from groundstation.twin.twin import Twin, episodes_of, in_words
+from groundstation.twin.twin import LIMIT, Twin, episodes_of, in_words
 from support.flights import BASE, told
 from support.flights import twin_flight as flight
 
