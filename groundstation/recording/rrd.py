@@ -9,9 +9,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from groundstation.recording.session import Recording
-from groundstation.rerun_log.channels import APPLICATION, COMMANDS, EVENTS, TABLES
-from groundstation.rerun_log.device_clock import RecordedClock
-from groundstation.rerun_log.new_rrd import fresh_rrd, send_series
+from groundstation.rerun_log.channels import (
+    APPLICATION,
+    COMMANDS,
+    EVENTS,
+    TABLES,
+    RecordedClock,
+    fresh_rrd,
+    send_series,
+)
 
 ROWS_PER_CHUNK = 4096
 
@@ -29,8 +35,7 @@ def write_rrd(recording: Recording, path: Path) -> None:
 def _write(recording: Recording, path: Path) -> None:
     import rerun as rr
 
-    from groundstation.rerun_log.blueprint import pilot_blueprint
-    from groundstation.rerun_log.log import ViewerLog
+    from groundstation.rerun_log.log import ViewerLog, pilot_blueprint
 
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
     clock = RecordedClock(recording.samples)

@@ -21,10 +21,16 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from groundstation.rerun_log.blueprint import LIVE_WINDOW_S, pilot_blueprint
-from groundstation.rerun_log.channels import APPLICATION, DEVICE_TIME, EVENTS, PITCH, ROLL, YAW
-from groundstation.rerun_log.device_clock import LiveClock
-from groundstation.rerun_log.log import ViewerLog
+from groundstation.rerun_log.channels import (
+    APPLICATION,
+    DEVICE_TIME,
+    EVENTS,
+    PITCH,
+    ROLL,
+    YAW,
+    LiveClock,
+)
+from groundstation.rerun_log.log import LIVE_WINDOW_S, ViewerLog, pilot_blueprint
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.viewer.messages import (

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.discrepancy.rerun_overlay import SERIES, Overlay
-from groundstation.rerun_log.channels import APPLICATION, DEVICE_TIME
-from groundstation.rerun_log.new_rrd import fresh_rrd, send_series
+from groundstation.rerun_log.channels import APPLICATION, DEVICE_TIME, fresh_rrd, send_series
 
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255))
 """Measured, model, improved model: on the viewer's dark ground."""
@@ -66,7 +65,7 @@ def _blueprint(overlay: Overlay) -> Any:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from groundstation.rerun_log.blueprint import layout_of
+    from groundstation.rerun_log.log import layout_of
 
     bounds = rr.TimeRangeBoundary
     near = rr.VisibleTimeRange(

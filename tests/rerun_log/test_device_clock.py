@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.rerun_log.device_clock import LiveClock, RecordedClock
+from groundstation.rerun_log.channels import LiveClock, RecordedClock
 
 SECOND_NS = 10**9
 
