@@ -42,7 +42,7 @@ from groundstation import (
     write_mcap,
 )
 from groundstation.dynamics.model import Model
-from groundstation.recording.recording_file import session_metadata
+from groundstation.recording.mcap_file import session_metadata
 from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import Decoder
 

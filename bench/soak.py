@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from groundstation.errors import GroundStationError
-from groundstation.recording.catalogue import catalogue
 from groundstation.recording.mcap_reader import read_mcap
+from groundstation.recording.mcap_scan import catalogue
 from groundstation.service.client import ask
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 

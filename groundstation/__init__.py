@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from groundstation.prediction.prediction import fly_reference as fly_reference
     from groundstation.prediction.prediction import load_reference as load_reference
     from groundstation.prediction.prediction import predict_ahead as predict_ahead
-    from groundstation.recording.open_recording import open_recording as open_recording
-    from groundstation.recording.recording_file import write_mcap as write_mcap
+    from groundstation.recording.formats import open_recording as open_recording
+    from groundstation.recording.mcap_file import write_mcap as write_mcap
     from groundstation.recording.session import Recording as Recording
     from groundstation.service.client import Client as Client
     from groundstation.service.client import Pilot as Pilot
@@ -95,7 +95,7 @@ PUBLIC = {
     "load_model": "dynamics.model.load_model",
     "load_reference": "prediction.prediction.load_reference",
     "load_vehicle": "dynamics.vehicle.load_vehicle",
-    "open_recording": "recording.open_recording.open_recording",
+    "open_recording": "recording.formats.open_recording",
     "parse_selection": "identification.runs.parse_selection",
     "predict_ahead": "prediction.prediction.predict_ahead",
     "rest_bias": "attitude.fusion.rest_bias",
@@ -105,7 +105,7 @@ PUBLIC = {
     "simulate_run": "identification.report.simulate_run",
     "socket_path": "service.config.socket_path",
     "vehicle_model": "dynamics.model.vehicle_model",
-    "write_mcap": "recording.recording_file.write_mcap",
+    "write_mcap": "recording.mcap_file.write_mcap",
 }
 """Names that programs may rely on -> where below this package each is."""
 

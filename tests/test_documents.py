@@ -8,7 +8,7 @@ from groundstation.control.firmware_loop import load_gains
 from groundstation.dynamics.model import load_model, save_model
 from groundstation.errors import BadInputError
 from groundstation.paths import taken
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.config import load_config
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.vehicle import Vehicle
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

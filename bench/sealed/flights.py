@@ -28,7 +28,7 @@ from firmware_sim.effects.catalogue import draw
 from firmware_sim.physics import parameters
 from firmware_sim.present import present_effects
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.recording.recording_file import RecordingFile, session_metadata
+from groundstation.recording.mcap_file import RecordingFile, session_metadata
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 

@@ -121,7 +121,7 @@ def axes(
     Example: [bold]groundstation axes turned.mcap --html axes.html[/bold]
     """
     from groundstation import check_axes
-    from groundstation.recording.plausibility import contradictions
+    from groundstation.recording.soundness import contradictions
 
     if html is not None:
         require_new(html)

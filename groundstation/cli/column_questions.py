@@ -17,9 +17,8 @@ from groundstation.cli.terminal import show
 from groundstation.text import counted, printable
 
 if TYPE_CHECKING:
-    from groundstation.recording.map_columns import FileColumns
-    from groundstation.recording.map_guess import FileColumn, Guess
-    from groundstation.recording.map_text import Chosen
+    from groundstation.recording.map_document import Chosen
+    from groundstation.recording.map_guess import FileColumn, FileColumns, Guess
 
 LISTED = 60
 """Columns that are listed; a log of many series has thousands."""
@@ -36,9 +35,8 @@ def ask_map(path: Path, map_path: Path) -> str:
     Raises BadInputError where the answers end before the last question, or nothing was chosen, and
     as ``columns_of``.
     """
-    from groundstation.recording.map_columns import columns_of
-    from groundstation.recording.map_guess import guess_map
-    from groundstation.recording.map_text import command_with, map_text, rows_of
+    from groundstation.recording.map_document import command_with, map_text, rows_of
+    from groundstation.recording.map_guess import columns_of, guess_map
 
     file = columns_of(path)
     own_terminal()
@@ -102,7 +100,7 @@ class _Questions:
         return chosen
 
     def _time(self) -> Chosen:
-        from groundstation.recording.map_text import Chosen
+        from groundstation.recording.map_document import Chosen
 
         while True:
             one = self._channel("time")
@@ -119,7 +117,7 @@ class _Questions:
 
     def _channel(self, key: str) -> Chosen | None:
         """The answer to one channel, None where it is left out."""
-        from groundstation.recording.map_text import Chosen
+        from groundstation.recording.map_document import Chosen
 
         guess = self._guesses.get(key)
         offered = "-" if guess is None else self._offered(guess)

@@ -167,7 +167,7 @@ def recover(
     """
     from dataclasses import asdict
 
-    from groundstation.recording.recover import recover as recover_file
+    from groundstation.recording.mcap_scan import recover as recover_file
 
     if output is not None:
         require_new(output)
@@ -190,7 +190,7 @@ def _tell_written(recording: Recording, target: Path, as_json: bool) -> None:
     if not as_json:
         show(f"{target}: {len(recording.samples)} samples")
         return
-    from groundstation.recording.channels import CHANNELS
+    from groundstation.recording.session import CHANNELS
 
     names = [one.name for one in CHANNELS if one.is_in(recording.samples)]
     show_json({"file": str(target), "samples": len(recording.samples), "channels": names})
@@ -199,7 +199,7 @@ def _tell_written(recording: Recording, target: Path, as_json: bool) -> None:
 def _new_map(source: Path, columns: str | None, *, as_json: bool) -> str:
     """Where the column map is that a dialogue has made, which is told with the command for it."""
     from groundstation.cli.column_questions import ask_map, map_path_of
-    from groundstation.recording.map_text import command_with
+    from groundstation.recording.map_document import command_with
 
     if columns is not None or as_json:
         other = "--json" if as_json else "--columns"
@@ -227,7 +227,7 @@ def _open(
     path: Path, columns: str | None, only: str | None = None, rate_hz: float | None = None
 ) -> Recording:
     from groundstation import open_recording
-    from groundstation.recording.rows import rows_of
+    from groundstation.recording.session import rows_of
 
     rows = rows_of(only, rate_hz)
     with shown(f"reading {path}"):
@@ -236,8 +236,8 @@ def _open(
 
 def _warn_of_packets(recording: Recording) -> None:
     """The packet has a place for every channel, and no value that means 'not known'."""
-    from groundstation.recording.channels import CHANNELS, UNUSUAL
     from groundstation.recording.column_map import UNCLEAR_METADATA
+    from groundstation.recording.session import CHANNELS, UNUSUAL
 
     carried = [channel for channel in CHANNELS if channel.field not in UNUSUAL]
     missing = [channel.name for channel in carried if not channel.is_in(recording.samples)]
@@ -276,7 +276,7 @@ def _packets_line(report: dict[str, Any]) -> str:
 
 def _renewed(report: dict[str, Any], channel: str) -> str:
     """How often a channel's values are renewed, where that could be measured."""
-    from groundstation.recording.channels import CHANNELS
+    from groundstation.recording.session import CHANNELS
 
     field = next(one.field for one in CHANNELS if one.name == channel)
     hz = report["renewed_hz"].get(field)

@@ -240,7 +240,7 @@ def _carry_out(
 ) -> None:
     from groundstation import load_model, parse_selection
     from groundstation.dynamics.model import model_vehicle
-    from groundstation.recording.craft_family import vehicle_of
+    from groundstation.recording.session import vehicle_of
     from groundstation.recording.soundness import rejected
 
     for path in (files.output, files.html):
@@ -289,7 +289,7 @@ def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> 
     estimates are none."""
     from groundstation.identification.fit_record import require_results
     from groundstation.identification.runs import renewal_notes
-    from groundstation.recording.plausibility import contradictions
+    from groundstation.recording.soundness import contradictions
 
     of_recordings = [
         f"{one.path.name}: {line}" for one in recordings for line in contradictions(one.samples)

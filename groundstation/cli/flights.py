@@ -28,7 +28,7 @@ def model_for(source: str, vehicle: str | None) -> Model:
 
     from groundstation import load_vehicle
     from groundstation.dynamics.vehicle import BUILT_IN
-    from groundstation.recording.craft_family import other_vehicle
+    from groundstation.recording.session import other_vehicle
 
     model = fitted_model(source)
     if vehicle is None:
@@ -61,7 +61,7 @@ def read_flights(
     unless ``vehicle`` says the contrary, and where nothing lasts 5 s in any.
     """
     from groundstation.identification.runs import flights_of_each, renewal_notes
-    from groundstation.recording.craft_family import require_craft_of
+    from groundstation.recording.session import require_craft_of
     from groundstation.recording.soundness import rejected
 
     recordings = [open_one(path) for path in paths]

@@ -39,7 +39,7 @@ MASS_RANGE = 5.0
 
 def open_one(path: Path) -> Recording:
     """A recording for an analysis: what is not believed of it is missing."""
-    from groundstation.recording.open_for_analysis import open_for_analysis
+    from groundstation.recording.formats import open_for_analysis
 
     return open_for_analysis(path)
 

@@ -306,7 +306,7 @@ def _judge(
     if programme.shape != "level":
         from groundstation import load_model
         from groundstation.control.step_analysis import analyse_recording
-        from groundstation.recording.open_for_analysis import open_for_analysis
+        from groundstation.recording.formats import open_for_analysis
 
         if not Path(report["recording"]).exists():
             raise BadInputError(

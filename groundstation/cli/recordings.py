@@ -11,7 +11,7 @@ from groundstation.cli.terminal import show, show_json
 
 def list_folder(folder: Path, as_json: bool) -> None:
     """Oldest first: when, how long, from which link, how complete."""
-    from groundstation.recording.catalogue import catalogue
+    from groundstation.recording.mcap_scan import catalogue
 
     found = [entry.as_dict() for entry in catalogue(folder)]
     if as_json:

@@ -16,7 +16,7 @@ from groundstation.cli.height_flight import Flyable
 from groundstation.cli.learn_flights import CLIENT, FastPlace
 from groundstation.control.step_analysis import analyse_recording
 from groundstation.links.supervisor import PLACE
-from groundstation.recording.open_for_analysis import open_for_analysis
+from groundstation.recording.formats import open_for_analysis
 
 if TYPE_CHECKING:
     from groundstation.control.step_analysis import Flown

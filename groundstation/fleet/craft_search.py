@@ -93,8 +93,8 @@ def _searched(
 ) -> Discrepancy:
     from groundstation.discrepancy.engine import find_discrepancy
     from groundstation.identification.runs import flights_of_each, without_gaps
-    from groundstation.recording.craft_family import require_craft_of, vehicle_of
-    from groundstation.recording.open_for_analysis import open_for_analysis
+    from groundstation.recording.formats import open_for_analysis
+    from groundstation.recording.session import require_craft_of, vehicle_of
 
     opened = [[open_for_analysis(path) for path in paths] for paths in (fit_on, held)]
     groups = [

@@ -133,7 +133,7 @@ def fetched(address: str) -> Iterator[Path]:
 
 
 def _described(path: Path, address: str, vehicle: str | None) -> Row:
-    from groundstation.recording.open_recording import open_recording
+    from groundstation.recording.formats import open_recording
     from groundstation.recording.quality import inspect_recording
 
     recording = open_recording(path)
@@ -175,7 +175,7 @@ def _begun(recording: Recording, address: str, path: Path) -> str:
     if named:
         day, *clock = named.groups()
         return f"{day}T{':'.join(clock)}+00:00"
-    from groundstation.recording.device_time import SYNTHESISED
+    from groundstation.recording.session import SYNTHESISED
 
     samples = recording.samples
     if len(samples) and recording.metadata.get("host_time") != SYNTHESISED:

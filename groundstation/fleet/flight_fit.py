@@ -98,8 +98,8 @@ def _told(
     from groundstation.identification.division import stretches_of
     from groundstation.identification.motor.workflow import estimate_supply
     from groundstation.identification.runs import bridged
-    from groundstation.recording.craft_family import vehicle_of
-    from groundstation.recording.open_for_analysis import open_for_analysis
+    from groundstation.recording.formats import open_for_analysis
+    from groundstation.recording.session import vehicle_of
 
     recording = open_for_analysis(path)
     profile = load_vehicle(vehicle_of([recording], vehicle) or "crazyflie1")

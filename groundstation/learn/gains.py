@@ -14,7 +14,7 @@ from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.learn.journal import Landed
 from groundstation.learn.manoeuvres import Limits
-from groundstation.recording.open_for_analysis import open_for_analysis
+from groundstation.recording.formats import open_for_analysis
 from groundstation.telemetry.arrays import AXES
 
 CLIENT = "learn"

@@ -21,7 +21,7 @@ from groundstation.learn.information import Choice, Information, choose, informa
 from groundstation.learn.journal import Flown
 from groundstation.learn.manoeuvres import FlightPlan, Limits, library
 from groundstation.paths import write_whole
-from groundstation.recording.open_for_analysis import open_for_analysis
+from groundstation.recording.formats import open_for_analysis
 from groundstation.recording.session import Recording
 
 

@@ -42,7 +42,7 @@ from groundstation.learn.manoeuvres import (
 )
 from groundstation.learn.planning import Pilot, Planned, plan_flight
 from groundstation.paths import write_whole
-from groundstation.recording.open_for_analysis import open_for_analysis
+from groundstation.recording.formats import open_for_analysis
 from groundstation.shell import Shell
 from groundstation.telemetry.arrays import AXES
 from groundstation.text import listed

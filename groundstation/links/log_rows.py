@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.links.log_plan import QUATERNION, LogPlan
-from groundstation.recording.microsd_channels import samples_from_columns
+from groundstation.recording.motor_columns import samples_from_columns
 from groundstation.telemetry.decoder import DecoderCounts
 from groundstation.telemetry.packet import FULL_16_BIT
 from groundstation.telemetry.samples import LogTable, SampleBatch, empty_samples

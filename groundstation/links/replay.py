@@ -14,8 +14,8 @@ from groundstation.background import in_background
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError
 from groundstation.links.base import Link, LinkBatch, LinkOptions
 from groundstation.links.clock import HostClock
-from groundstation.recording.file_window import FileWindow
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_scan import FileWindow
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 BATCH_S = 0.02

@@ -12,7 +12,7 @@ from groundstation.errors import BadInputError
 from groundstation.links.craft_place import PLACE_MS, TABLE, THRUST
 from groundstation.links.landing import Landing
 from groundstation.links.supervisor import LEAN, PLACE
-from groundstation.recording.recording_file import session_metadata, write_mcap
+from groundstation.recording.mcap_file import session_metadata, write_mcap
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.packet import TICK_S as DEVICE_TICK_S

@@ -19,11 +19,17 @@ import numpy as np
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.recording.csv_file import THESIS_COLUMNS
-from groundstation.recording.map_columns import FileColumns, columns_of
-from groundstation.recording.map_document import UNITS
-from groundstation.recording.map_guess import KEYS, SIGNED, FileColumn, guess_map, quantity_of
+from groundstation.recording.map_document import UNITS, Chosen, map_text, rows_of
+from groundstation.recording.map_guess import (
+    KEYS,
+    SIGNED,
+    FileColumn,
+    FileColumns,
+    columns_of,
+    guess_map,
+    quantity_of,
+)
 from groundstation.recording.map_plan import map_of_header, map_of_series
-from groundstation.recording.map_text import Chosen, map_text, rows_of
 from groundstation.text import printable
 
 COLUMNS_MOST = 5000

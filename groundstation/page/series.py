@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from groundstation.errors import GroundStationError
 from groundstation.page.follower import COLUMNS, TELEMETRY
+from groundstation.recording.formats import open_recording
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
-from groundstation.recording.open_recording import open_recording
 from groundstation.recording.session import Recording
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.text import printable

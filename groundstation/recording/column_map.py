@@ -1,41 +1,436 @@
-"""Any other CSV through a column map: what ``map_document`` describes, applied to numbers."""
+"""Tables and series read by a column map: rows in order, of one craft, as channels."""
 
 from __future__ import annotations
 
 import difflib
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.errors import BadInputError
-from groundstation.recording.craft_family import family_of
-from groundstation.recording.delimited import TextTable, open_table
-from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
+from groundstation.recording.delimited import FRACTION, TextTable, base_name, called, open_table
 from groundstation.recording.map_document import NAMED, ColumnMap, map_for
 from groundstation.recording.map_plan import (
+    SHOWN,
     SILENT,
     Channel,
     Plan,
     Said,
     decided,
+    map_of_series,
+    map_of_table,
     plan_of,
 )
-from groundstation.recording.motor_columns import changes, too_many
-from groundstation.recording.row_order import ROWS_METADATA, in_order
-from groundstation.recording.rows import EVERY_ROW, Rows
-from groundstation.recording.session import Recording, Table
-from groundstation.recording.table_header import base_name, called
-from groundstation.recording.table_maps import SHOWN, map_of_table
-from groundstation.recording.takes_turns import refusal, whose_column
-from groundstation.recording.thrust_command import DIFFERS, differs, is_command, settle_duty
-from groundstation.recording.time_cells import FRACTION
+from groundstation.recording.motor_columns import (
+    DIFFERS,
+    changes,
+    differs,
+    is_command,
+    settle_duty,
+    too_many,
+)
+from groundstation.recording.session import (
+    EVERY_ROW,
+    SYNTHESISED,
+    Recording,
+    Rows,
+    Series,
+    Table,
+    family_of,
+    host_time_from_ticks,
+)
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import FULL_16_BIT
-from groundstation.telemetry.samples import SampleBatch, empty_samples
+from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
+
+# Rows of a file in the order in which they were measured: counters that wrapped unwrapped, rows
+# that were overtaken put where they belong, copies left out, restarts told from all of these.
+
+
+ROWS_METADATA = "rows"
+"""Metadata record of what became of a file's rows: ``RowOrder.notes``."""
+WRAPS_S = tuple(2**bits * unit_s for bits in (32, 24) for unit_s in (1e-3, 1e-6))
+"""Full turns of the counters that loggers use: ms and us in 32 and 24 bits."""
+WRAPPED_WITHIN_S = 1.0
+"""A counter that wrapped goes on within so much of its full turn."""
+OVERTAKEN_ROWS, OVERTAKEN_S = 64, 1.0
+"""A clock that goes back further, or for longer, has restarted."""
+CLOCK = ("ticks", "host_time_ns", "segment", "copies")
+"""Columns of a batch that say when a row came, and not what was measured."""
+APART = 0.1
+"""Usual steps by which a row that was overtaken keeps away from its neighbours: it fits where it is
+missing, a restart runs over what is there."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowOrder:
+    """What became of a file's rows.
+
+    rows: (m,) places of the rows that are kept, in order of time; None: all as they stand.
+    ticks, segment, copies: (m,). wraps, overtaken, left_out: how many.
+    """
+
+    rows: NDArray[np.intp] | None
+    ticks: NDArray[np.int64]
+    segment: NDArray[np.int32]
+    copies: NDArray[np.uint8]
+    wraps: int = 0
+    overtaken: int = 0
+    left_out: int = 0
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """The counts that are not zero, for a recording's metadata."""
+        counts = {"wraps": self.wraps, "out_of_order": self.overtaken, "copies": self.left_out}
+        return {name: str(count) for name, count in counts.items() if count}
+
+    def of(self, values: NDArray[Any]) -> NDArray[Any]:
+        """A column (n, ...) of the file in this order."""
+        return values if self.rows is None else values[self.rows]
+
+
+def order_of(ticks: NDArray[np.int64], tick_s: float, columns: Sequence[NDArray[Any]]) -> RowOrder:
+    """The order of rows whose clock reads ``ticks`` (n,) of ``tick_s``.
+
+    columns: every other (n, ...) of the file that was read: rows of one time that are equal in all
+    of them are copies.
+    """
+    ticks, wraps = _unwrapped(ticks, tick_s)
+    steps = np.diff(ticks)
+    if (steps > 0).all():
+        plain = np.zeros(len(ticks), np.int32), np.ones(len(ticks), np.uint8)
+        return RowOrder(None, ticks, *plain, wraps)
+    stands_for = _copied(ticks, bool((steps < 0).any()), columns)
+    copied = stands_for != np.arange(len(ticks))
+    segment, overtaken = _segments(ticks, copied, tick_s)
+    copied &= segment[stands_for] == segment  # alike before and behind a restart: by chance
+    stands_for = np.where(copied, stands_for, np.arange(len(ticks)))
+    rows = np.flatnonzero(~copied)
+    copies = np.bincount(stands_for, minlength=len(ticks))[rows].clip(0, 255).astype(np.uint8)
+    if overtaken:
+        by_time = np.lexsort((ticks[rows], segment[rows]))
+        rows, copies = rows[by_time], copies[by_time]
+    left_out = int(copied.sum())
+    kept = rows if overtaken or left_out else None
+    return RowOrder(kept, ticks[rows], segment[rows], copies, wraps, overtaken, left_out)
+
+
+def in_order(
+    samples: SampleBatch, beside: Sequence[NDArray[Any]] = ()
+) -> tuple[SampleBatch, RowOrder]:
+    """A batch as a file has it in the order of its clock. beside: columns (n, ...) of the file that
+    are no channels."""
+    channels = [getattr(samples, name) for name in COLUMNS if name not in CLOCK]
+    order = order_of(samples.ticks, samples.tick_s, [*channels, *beside])
+    if order.rows is not None:
+        samples = samples[order.rows]
+    samples.ticks[:] = order.ticks
+    samples.segment[:] = order.segment
+    samples.copies[:] = order.copies
+    return samples, order
+
+
+def _unwrapped(ticks: NDArray[np.int64], tick_s: float) -> tuple[NDArray[np.int64], int]:
+    """Ticks (n,) without the jumps of a counter that came round, and how often it did."""
+    steps = np.diff(ticks)
+    near = WRAPPED_WITHIN_S / tick_s
+    jumps = np.flatnonzero(np.abs(steps) > min(WRAPS_S) / tick_s - near)
+    added = np.zeros(len(ticks), np.int64)
+    for turn in (round(turn_s / tick_s) for turn_s in WRAPS_S):
+        low = np.minimum(ticks[jumps], ticks[jumps + 1])
+        high = np.maximum(ticks[jumps], ticks[jumps + 1])
+        here = jumps[(low >= 0) & (low <= near) & (high < turn) & (turn - high <= near)]
+        added[here + 1] = -np.sign(steps[here]) * turn
+    turned = 0
+    for row in np.flatnonzero(added):
+        if turned + added[row] < 0:  # nothing came round before: a pause of nearly a turn
+            added[row] = 0
+        turned += int(added[row])
+    return (ticks + np.cumsum(added), int(np.sign(added).sum())) if len(jumps) else (ticks, 0)
+
+
+def _copied(
+    ticks: NDArray[np.int64], falls: bool, columns: Sequence[NDArray[Any]]
+) -> NDArray[np.intp]:
+    """The first of the rows that each row (n,) is a copy of; itself where it is none."""
+    order = np.argsort(ticks, kind="stable") if falls else np.arange(len(ticks))
+    again = np.flatnonzero(np.diff(ticks[order]) == 0) + 1
+    for column in columns:
+        one, other = column[order[again]], column[order[again - 1]]
+        same = (one == other) | ((one != one) & (other != other))
+        again = again[same if same.ndim == 1 else same.all(axis=1)]
+    first = np.arange(len(ticks))
+    first[again] = 0
+    found = np.empty(len(ticks), np.intp)
+    found[order] = order[np.maximum.accumulate(first)]
+    return found
+
+
+def _segments(
+    ticks: NDArray[np.int64], copied: NDArray[np.bool_], tick_s: float
+) -> tuple[NDArray[np.int32], int]:
+    """Segment (n,) of each row, and how many rows were overtaken by later ones. copied: (n,)."""
+    steps = np.diff(ticks)
+    falls = np.flatnonzero(steps < 0) + 1
+    segment = np.zeros(len(ticks), np.int32)
+    if not len(falls):
+        return segment, 0
+    rising = steps[steps > 0]
+    usual = float(np.median(rising)) if len(rising) else 0.0
+    restarts: list[int] = []
+    overtaken, start, placed = 0, 0, 0
+    for row in map(int, falls):
+        if row < placed:
+            continue  # among rows that have their place already
+        before = ticks[max(start, row - 4 * OVERTAKEN_ROWS) : row]
+        top = int(before.max())
+        until = min(row + OVERTAKEN_ROWS, len(ticks))
+        ahead = np.flatnonzero(ticks[row:until] > top)
+        end = row + int(ahead[0]) if len(ahead) else until
+        late = ticks[row:end][~copied[row:end]]
+        ends = len(ahead) > 0 or until == len(ticks)
+        near = not len(late) or (top - int(late.min())) * tick_s <= OVERTAKEN_S
+        if ends and near and _fits(late, before, usual):
+            overtaken += len(late)
+            placed = end
+        else:
+            restarts.append(row)
+            start = row
+    segment[restarts] = 1
+    return np.cumsum(segment, dtype=np.int32), overtaken
+
+
+def _fits(late: NDArray[np.int64], around: NDArray[np.int64], usual: float) -> bool:
+    """Whether late rows fill holes between the others; what is earlier than all may be as many
+    usual steps ahead of them as there are rows."""
+    if not len(late):
+        return True
+    others = np.sort(around)
+    if late.min() < others[0] - 2 * usual * len(late):
+        return False
+    place = np.searchsorted(others, late)
+    below = late - others[np.maximum(place - 1, 0)]
+    above = others[np.minimum(place, len(others) - 1)] - late
+    far = np.iinfo(np.int64).max
+    below, above = np.where(place > 0, below, far), np.where(place < len(others), above, far)
+    fits = np.minimum(below, above) >= APART * usual
+    return bool(fits.all() and (np.diff(np.sort(late)) > 0).all())
+
+
+# Several crafts or sensors in one table: a column that says whose a row is, or a state that jumps
+# back and forth from row to row.
+#
+# One craft's state is nearer to the row before than to an earlier one; a row of several crafts is
+# nearer to the last row of its own. So the state is asked first, and names where it does not tell.
+
+
+LOOKED_AT = 4000
+"""First rows of a table in which columns are looked at."""
+WHOSE = re.compile(
+    r"(?:.*[._ ])?(?:uri|id|i|inst|instance|craft|crazyflie|drone|vehicle|robot|agent|uav|quad|cf"
+    r"|address|src_?system|sys_?id|comp_?id|multi_?id|device|serial|rigid_?body|frame_?id|topic)"
+    r"(?:[._ ]?(?:id|no|nr|number|name))?",
+    re.IGNORECASE,
+)
+"""Names of columns that say whose a row is, also where the state does not tell."""
+CRAFT = re.compile(r"(?:^|[._ ])(?:uri|craft|crazyflie|drone|robot|agent|uav|cf)", re.IGNORECASE)
+"""Names of columns of which two texts are two crafts, one after the other as well."""
+MOST, TURNS, FEWEST = 64, 0.1, 10
+"""Values that such a column takes at most, and the share and the number of rows at which it changes
+at least."""
+_VALUES_SHOWN = 4
+LAGS = 24
+"""Crafts in turn that a state is tried for."""
+JUMPS, SMOOTH, FEW = 3.0, 0.8, 8
+"""A row is so many times nearer to the last row of its own than to the row before, where they are
+several crafts', by two channels; less, where one craft moves smoothly. Columns of other names may
+take so many values: one of more is a number of the craft's own."""
+WINDOW, LARGE = 128, 0.15
+"""Rows in which steps are sorted into small and large, and the least share of either."""
+DIGITS = 4.0
+"""Steps of a channel's last digit that a jump is above."""
+ALIKE = 0.7
+"""Correlation of an angle's steps with the gyro from which the craft really turned so."""
+
+
+def whose_column(
+    names: Sequence[str],
+    texts: Callable[[int], Sequence[str]],
+    taken: Sequence[int],
+    time: int | None = None,
+) -> tuple[str, list[str]] | None:
+    """The column by which the rows of a table are several crafts' or sensors', and its values; None
+    where there is none.
+
+    texts: cells of the column at a place, of the first rows and some of the last. taken: places of
+    columns that are channels, whose state is asked. time: place of the clock among them.
+    """
+    clock = None if time is None else _numbers(texts(time))
+    states = [_numbers(texts(place)) for place in taken if place != time]
+    for place, name in enumerate(names):
+        if place in taken or not name:
+            continue
+        cells = [one.strip() for one in texts(place)]
+        values = list(dict.fromkeys(cells))
+        if not 2 <= len(values) <= MOST or len(cells) < 2:
+            continue
+        label = np.array([values.index(one) for one in cells])
+        called = WHOSE.fullmatch(name) is not None
+        turned = np.flatnonzero(np.diff(label)) + 1
+        told = [one or "(empty)" for one in values]
+        text = all(np.isnan(_number(one)) for one in values)
+        if len(turned) <= max(FEWEST, TURNS * len(cells)):
+            owner = text and CRAFT.search(name) is not None and "" not in values
+            if owner or ((called or text) and _begins_anew(clock, turned)):
+                return name, told
+            continue
+        nearer = _nearer(label, turned, states)
+        tells = len(values) <= (MOST if called else FEW) and sum(one > JUMPS for one in nearer) > 1
+        smooth = any(one < SMOOTH for one in nearer)
+        craft = CRAFT.search(name) is not None
+        if tells or ((craft or (called and not smooth)) and _whole(told)):
+            return name, told
+    return None
+
+
+def refusal(name: str, values: Sequence[str]) -> str:
+    """What to say of rows of several."""
+    more = f" and {len(values) - _VALUES_SHOWN} more" if len(values) > _VALUES_SHOWN else ""
+    return (
+        f"rows of {len(values)} crafts or sensors: column {name!r} takes turns between"
+        f" {', '.join(values[:_VALUES_SHOWN])}{more}; make a file of one: groundstation convert"
+        f" FILE ONE.mcap --only {name}={values[0]}"
+    )
+
+
+def jumps(samples: SampleBatch) -> str:
+    """What to say of rows whose state jumps back and forth, or empty: the attitude, where there is
+    one, or else the battery. One craft's motors and gyro do alternate from row to row."""
+    rows = samples[: 4 * LOOKED_AT]
+    if len(rows) < 2 * WINDOW:
+        return ""
+    attitude = rows.attitude.astype(np.float64)
+    if np.isfinite(attitude).all(axis=1).mean() > 0.5:
+        step_s = np.diff(rows.time_s)
+        for k, name in enumerate(("roll", "pitch", "yaw")):
+            rate = rows.gyro[:, k].astype(np.float64)
+            turned = 0.5 * (rate[1:] + rate[:-1]) * step_s
+            if _jumps(attitude[:, k]) and not _agrees(np.diff(attitude[:, k]), turned):
+                return _JUMPING.format(name)
+        return ""
+    battery, load = rows.battery_v.astype(np.float64), rows.duty.astype(np.float64).mean(axis=1)
+    if _jumps(battery) and not _agrees(-np.diff(battery), np.diff(load)):
+        return _JUMPING.format("the battery")
+    return ""
+
+
+_JUMPING = (
+    "{} jumps back and forth from row to row: rows of several crafts or sensors? Make a file for"
+    " each"
+)
+
+
+def _nearer(
+    label: NDArray[np.intp], turned: NDArray[np.intp], states: Sequence[Array]
+) -> list[float]:
+    """How many times nearer rows behind a turn are to the last row of their own than to the row
+    before, by each channel that moves."""
+    last: dict[int, int] = {}
+    own = np.full(len(label), -1)
+    for row, one in enumerate(label.tolist()):
+        own[row] = last.get(one, -1)
+        last[one] = row
+    rows = turned[own[turned] >= 0]
+    found = []
+    for state in states:
+        if len(rows) < FEWEST or len(state) != len(label):
+            continue
+        before, back = np.abs(state[rows] - state[rows - 1]), np.abs(state[rows] - state[own[rows]])
+        known = np.isfinite(before) & np.isfinite(back)
+        if known.sum() >= FEWEST and before[known].any():
+            own_m = max(float(back[known].mean()), 1e-12)
+            found.append(float(before[known].mean()) / own_m)
+    return found
+
+
+def _begins_anew(clock: Array | None, turned: NDArray[np.intp]) -> bool:
+    """Whether the clock goes back wherever the column turns."""
+    if clock is None or not len(turned) or len(clock) <= turned[-1]:
+        return False
+    return bool((clock[turned] < clock[turned - 1]).all())
+
+
+def _jumps(column: Array) -> bool:
+    """Whether a channel jumps back and forth: it is back after some rows, or its steps are of two
+    sizes, and the large ones cancel."""
+    step = np.diff(column[np.isfinite(column)])
+    if len(step) < 2 * WINDOW - 1 or _returns(column):
+        return len(step) >= 2 * WINDOW - 1
+    windows = [step[k : k + WINDOW] for k in range(0, len(step) - WINDOW + 1, WINDOW)]
+    return 2 * sum(map(_two_sizes, windows)) > len(windows)
+
+
+def _returns(column: Array) -> bool:
+    """Whether a channel is back where it was after the same number of rows, again and again."""
+    known = column[np.isfinite(column)]
+    steps = np.abs(np.diff(known))
+    if len(known) < 2 * WINDOW or not steps.any():
+        return False
+    near, digit = float(np.median(steps)), float(np.diff(np.unique(known)).min())
+    return near > DIGITS * digit and any(
+        float(np.median(np.abs(known[lag:] - known[:-lag]))) * (JUMPS + 1.0) < near
+        for lag in range(2, LAGS + 1)
+    )
+
+
+def _two_sizes(step: Array) -> bool:
+    """Whether steps are small or large with nothing between, and the large ones cancel."""
+    sizes = np.sort(np.abs(step[step != 0.0]))
+    least = max(3, round(LARGE * len(step)))
+    if len(sizes) < 3 * least:
+        return False
+    ratio = sizes[least:-least] / sizes[least - 1 : -least - 1]
+    place = int(np.argmax(ratio))
+    if ratio[place] < JUMPS:
+        return False
+    large = step[np.abs(step) >= sizes[least + place]]
+    back = np.mean(np.sign(large[1:]) != np.sign(large[:-1]))
+    return bool(back > 0.6 and abs(large.sum()) < 0.2 * np.abs(large).sum())
+
+
+def _agrees(step: Array, turned: Array) -> bool:
+    known = np.isfinite(step) & np.isfinite(turned)
+    size = float(np.sqrt((step[known] ** 2).sum() * (turned[known] ** 2).sum()))
+    return size > 0.0 and float((step[known] * turned[known]).sum()) > ALIKE * size
+
+
+def _whole(values: Sequence[str]) -> bool:
+    """Whether numbers among the values are whole, as those of crafts are."""
+    numbers = [_number(one) for one in values]
+    return all(np.isnan(one) or one == round(one) for one in numbers)
+
+
+def _numbers(cells: Sequence[str]) -> Array:
+    return np.array([_number(one) for one in cells])
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+# Any other CSV through a column map: what ``map_document`` describes, applied to numbers.
+
 
 UNCLEAR_METADATA = "unclear"
 """Metadata record of what a file leaves open, field -> words."""
@@ -395,3 +790,142 @@ def _samples(
         yaw = samples.attitude[:, 2]
         yaw[:] = np.remainder(yaw + 1.5 * np.pi, math.tau) - np.pi
     return samples
+
+
+# Logs of many series, each with a clock and columns of its own, through a column map.
+#
+# The map names the series that gives the rows; of any other, a row has what was last known at its
+# time. A column is ``SERIES.FIELD``. A series goes by its own name, by the last part of a name with
+# slashes, and by its type, as far as only one series has that name.
+
+
+_Columns = Mapping[str, tuple[Series, NDArray[np.generic]]]
+TOPIC = "topic"
+"""By which the rows of one craft are chosen, ``--only topic=/cf1``."""
+PARTS_SHOWN = 12
+"""Series that an error names."""
+
+
+def read_mapped_series(
+    path: Path,
+    kind: Literal["ulog", "rosbag"],
+    series: Sequence[Series],
+    source: str | Path | None,
+    damage: Sequence[str] = (),
+    unread: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    unclear: Mapping[str, str] | None = None,
+) -> Recording:
+    """Read a log by a map (None: the named one that knows it).
+
+    unread: types of series that could not be read, told where a map finds too little. notes,
+    unclear: what its reader has settled, and left open by field.
+
+    Raises BadInputError where no map fits, and as ``read_mapped_csv``.
+    """
+    by_name = _called(series)
+    columns = _columns(by_name)
+    listed = _cut([f"{one.name} ({one.type})" if one.type else one.name for one in series])
+    if unread:
+        listed += f"; types that do not parse: {_cut(unread)}"
+    if source is None:
+        source = map_of_series(kind, columns)
+        if source is None:
+            _refuse_several(path, series, lambda some: map_of_series(kind, _columns(some)))
+            raise BadInputError(
+                f"{path}: no known map fits its series ({listed}); say which channel each is with"
+                " 'groundstation convert FILE --map', and read the file with --columns"
+            )
+    column_map, map_path = map_for(path, kind, source)
+    rows = by_name.get(column_map.rows)
+    if rows is None:
+        _refuse_several(path, series, lambda some: column_map.rows in some)
+    if rows is None or (rows.type in unread and not len(rows.time_ns)):
+        raise BadInputError(
+            f"{path}: no series {column_map.rows!r} (rows in {map_path}); it has {listed}"
+        )
+    plan = plan_of(column_map, map_path, columns)
+    for channel in (*plan.channels, *plan.kept):
+        if channel.column not in columns:
+            raise BadInputError(
+                f"{path}: no column {channel.column!r} ({channel.key} in {map_path}); a column is"
+                f" SERIES.FIELD, the series are {listed}"
+            )
+    values = _on_rows(plan, rows, columns)
+    names = [name.rpartition(".")[2] for name in columns]
+    return mapped_recording(path, plan, column_map, values, names, unclear or {}, damage, notes)
+
+
+def under(series: Sequence[Series], topic: str) -> list[Series]:
+    """The series of one craft or sensor: of each type of which there are some under a topic, those
+    alone, and all of any other type."""
+    types = {one.type for one in series if _is_under(one.name, topic)}
+    return [one for one in series if _is_under(one.name, topic) or one.type not in types]
+
+
+def _is_under(name: str, topic: str) -> bool:
+    return f"{name}/".startswith(f"{topic.rstrip('/')}/")
+
+
+def _refuse_several(
+    path: Path, series: Sequence[Series], fits: Callable[[dict[str, Series]], object]
+) -> None:
+    """Raises BadInputError where a map fits the series under some topics, which it names: those of
+    several crafts or sensors, of which no name is one's alone."""
+    parts = [one.name.split("/") for one in series]
+    topics = {"/".join(one[:size]) for one in parts for size in range(1, len(one) + 1)} - {""}
+    found: list[str] = []
+    for topic in sorted(topics, key=lambda one: (one.count("/"), one)):
+        if not any(_is_under(topic, one) for one in found) and fits(_called(under(series, topic))):
+            found.append(topic)
+    if found:
+        raise BadInputError(
+            f"{path}: topics of several crafts or sensors: {_cut(found)}; make a file of one:"
+            f" groundstation convert BAG ONE.mcap --only {TOPIC}={found[0]}"
+        )
+
+
+@np.errstate(invalid="ignore")  # what is no number stays none
+def _on_rows(plan: Plan, rows: Series, columns: _Columns) -> NDArray[np.float64]:
+    """The planned columns at the times of ``rows``, shape (n, k): the last value known by then, NaN
+    before the first."""
+    wanted = plan.wanted
+    values = np.full((len(rows.time_ns), len(wanted)), np.nan)
+    places: dict[str, NDArray[np.intp]] = {}
+    for index, channel in enumerate(wanted):
+        series, given = columns[str(channel.column)]
+        if series is rows:
+            values[:, index] = given
+            continue
+        if series.name not in places:
+            found = np.searchsorted(series.time_ns, rows.time_ns, side="right") - 1
+            places[series.name] = found
+        place = places[series.name]
+        known = place >= 0
+        values[known, index] = np.asarray(given, np.float64)[place[known]]
+    return values
+
+
+def _columns(by_name: Mapping[str, Series]) -> _Columns:
+    """Every column by its name, ``SERIES.FIELD``."""
+    return {
+        f"{name}.{field}": (one, values)
+        for name, one in by_name.items()
+        for field, values in one.columns.items()
+    }
+
+
+def _called(series: Sequence[Series]) -> dict[str, Series]:
+    """Each series by every name that it alone has."""
+    names = [
+        (name, one)
+        for one in series
+        for name in {one.name, one.name.rpartition("/")[2], one.type} - {""}
+    ]
+    times = Counter(name for name, _ in names)
+    return {name: one for name, one in names if times[name] == 1 or name == one.name}
+
+
+def _cut(parts: Sequence[str]) -> str:
+    more = f" and {len(parts) - PARTS_SHOWN} more" if len(parts) > PARTS_SHOWN else ""
+    return ", ".join(parts[:PARTS_SHOWN]) + more

@@ -19,21 +19,32 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
-from groundstation.recording.channels import CHANNELS
 from groundstation.recording.column_map import (
     NOTES_METADATA,
+    ROWS_METADATA,
     UNCLEAR_METADATA,
     chosen,
+    in_order,
+    order_of,
     read_mapped_csv,
     require_one_craft,
 )
 from groundstation.recording.delimited import Block, TextTable, open_table
-from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
-from groundstation.recording.motor_columns import changes, siblings, too_many
-from groundstation.recording.row_order import ROWS_METADATA, in_order, order_of
-from groundstation.recording.rows import EVERY_ROW, Rows
-from groundstation.recording.session import Recording
-from groundstation.recording.thrust_command import NOT_KNOWN, settle_duty
+from groundstation.recording.motor_columns import (
+    NOT_KNOWN,
+    changes,
+    settle_duty,
+    siblings,
+    too_many,
+)
+from groundstation.recording.session import (
+    CHANNELS,
+    EVERY_ROW,
+    SYNTHESISED,
+    Recording,
+    Rows,
+    host_time_from_ticks,
+)
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,
     ANGLE_RAD,

@@ -1,21 +1,16 @@
-"""Delimited text as spreadsheets and loggers write it, read block by block into numbers.
-
-Accepted: comma, semicolon, tab, pipe or spaces; decimal comma; quotes; CRLF; a byte-order mark;
-Excel's ``sep=;`` line; a leading column of row numbers with or without a name; a separator at the
-end of each line; ``1,23E+09`` unquoted in the last column of a comma-separated line; comments and
-other lines before the header, and units below it (``table_header``); dates and times of the day,
-read as seconds, and seconds with a column of their fraction (``time_cells``). A last line
-without its end that does not read is taken for a torn write: it is left out and named in
-``damage``. Any other cell that is not a number is an error with its line and column.
-"""
+"""Text tables: their delimiter, their header, cells that are times, and their numbers."""
 
 from __future__ import annotations
 
 import io
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,16 +18,371 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.table_header import SPLIT_EXPONENT, find_header, is_number, plain
-from groundstation.recording.time_cells import (
-    CELLS,
-    FRACTION,
-    UNNAMED_TIME,
-    begins_anew,
-    fractions_of,
-    go_on,
-    seconds_of,
+from groundstation.telemetry.arrays import Array
+
+# Times that are no plain number: dates and times of the day as text, and seconds whose fraction is
+# in a column of its own.
+
+
+DAY_S, HOUR_S = 86_400.0, 3600.0
+CELLS = 20
+"""First cells by which a column is known to be dates."""
+UNNAMED_TIME = "time"
+"""What an index of dates is called that pandas writes without a name."""
+FRACTION = "of a second"
+"""The unit of a column that is only the fraction of another's seconds, and no time by itself."""
+_TIME = re.compile(
+    r"(?:(?P<date>\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d{1,6} days?)"
+    r"(?:[T/_]|,? +))?"
+    r"(?P<clock>\d{1,2}:\d\d(?::\d\d)?(?:[.,]\d+)?) *(?P<half>[AaPp][Mm])?"
+    r" *(?P<zone>Z|UTC|[+-]\d\d:?\d\d)?"
 )
+"""A date or none, a time of the day, and its zone: ``2026-01-01T10:00:00.25Z``, ``10:00:00.25``,
+``0 days 00:00:00.25``."""
+_FRACTION = re.compile(
+    r"(?P<stem>.*?)(?P<size>n|nano|u|micro|m|milli)_?(?:s|secs?|seconds?)", re.IGNORECASE
+)
+_SIZES = {"n": 1e-9, "u": 1e-6, "m": 1e-3}
+_SECONDS = ("s", "sec", "secs", "second", "seconds")
+
+
+def seconds_of(cell: str) -> tuple[float, float] | None:
+    """A time in s, and after how many s it begins anew (0: never, it has a date); None where a cell
+    is none. With a date: since 1970, in UTC where no zone is named."""
+    read = _TIME.fullmatch(cell.strip())
+    if read is None:
+        return None
+    parts = [float(one) for one in read["clock"].replace(",", ".").split(":")]
+    if read["date"] and len(parts) == 2:
+        parts.append(0.0)  # hours and minutes; without a date minutes and seconds
+    if any(one >= 60.0 for one in parts[-2:]):
+        return None
+    if read["half"]:
+        parts[0] = parts[0] % 12 + 12 * (read["half"].lower() == "pm")
+    seconds = sum(one * 60.0**place for place, one in enumerate(reversed(parts)))
+    if not read["date"]:
+        return seconds, DAY_S if len(parts) == 3 else HOUR_S
+    days = _days(read["date"])
+    return None if days is None else (days * DAY_S + seconds - _zone_s(read["zone"] or ""), 0.0)
+
+
+def begins_anew(cells: Iterable[str]) -> float | None:
+    """After how many s the times of a column begin anew, by the first of its cells that have a
+    value; None where one is no time, or there is none."""
+    found = [seconds_of(one) for one in islice(cells, CELLS)]
+    times = [one for one in found if one is not None]
+    return times[0][1] if times and len(times) == len(found) else None
+
+
+def unwrapped(values: Array, period_s: float, before_s: float = np.nan) -> Array:
+    """Times (n,) that go on over midnight. before_s: the last time before them."""
+    known = np.isfinite(values)
+    if not period_s or not known.any():
+        return values
+    line = np.concatenate([[before_s] if np.isfinite(before_s) else [], values[known]])
+    values = values.copy()
+    values[known] = np.unwrap(line, period=period_s)[-int(known.sum()) :]
+    return values
+
+
+def go_on(
+    numbers: Array, columns: Sequence[int], dated: Mapping[int, float], before_s: dict[int, float]
+) -> None:
+    """Unwrap the times among a block of columns (n, k). dated: column -> after how many s it begins
+    anew. before_s: column -> its last time in the blocks before, which is renewed."""
+    for place, column in enumerate(columns):
+        if period_s := dated.get(column, 0.0):
+            times = unwrapped(numbers[:, place], period_s, before_s[column])
+            known = times[np.isfinite(times)]
+            numbers[:, place] = times
+            before_s[column] = float(known[-1]) if len(known) else before_s[column]
+
+
+def fractions_of(
+    names: Sequence[str], numbers: Callable[[str], Array | None]
+) -> dict[str, tuple[str, float]]:
+    """Columns of whole seconds -> the column of their fraction, and its unit in s: ``sec`` and
+    ``nanosec``, ``header.stamp.secs`` and ``header.stamp.nsecs``. numbers: some of a column, None
+    where it holds none."""
+    found: dict[str, tuple[str, float]] = {}
+    by_small = {name.lower(): name for name in names}
+    for name in names:
+        read = _FRACTION.fullmatch(name)
+        for ending in _SECONDS if read else ():
+            whole = by_small.get(f"{read['stem']}{ending}".lower()) if read else None
+            if read is None or whole is None:
+                continue
+            size = _SIZES[read["size"][0].lower()]
+            if _are_one(numbers(whole), numbers(name), size):
+                found[whole] = name, size
+    return found
+
+
+def _are_one(seconds: Array | None, fraction: Array | None, size: float) -> bool:
+    """Whether two columns are whole seconds and their fraction: together they go on."""
+    if seconds is None or fraction is None or len(seconds) != len(fraction):
+        return False
+    known = np.isfinite(seconds) & np.isfinite(fraction)
+    whole, rest = seconds[known], fraction[known]
+    if not len(whole) or (whole % 1.0 != 0.0).any() or (rest < 0.0).any():
+        return False
+    steps = np.diff(whole - whole[0] + rest * size)
+    return bool((rest * size < 1.0).all() and (steps >= 0.0).mean() > 0.9)
+
+
+@lru_cache(maxsize=64)
+def _days(text: str) -> int | None:
+    """Days since 1970 of year, month, day; day, month, year with points; else month, day, year as
+    far as that is a date; or days of a duration."""
+    if "day" in text:
+        return int(text.split()[0])
+    mark = next(one for one in "-/." if one in text)
+    parts = [int(one) for one in re.split(r"[-/.]", text)]
+    if parts[0] < 1000:
+        american = mark == "/" and parts[0] <= 12
+        parts = [parts[2], parts[0], parts[1]] if american else parts[::-1]
+    try:
+        return date(*parts).toordinal() - date(1970, 1, 1).toordinal()
+    except ValueError:
+        return None
+
+
+def _zone_s(zone: str) -> float:
+    if zone[:1] not in ("+", "-"):
+        return 0.0
+    minutes = int(zone[1:3]) * 60 + int(zone[-2:])
+    return 60.0 * minutes if zone[0] == "+" else -60.0 * minutes
+
+
+# The header of a delimited file: which line it is, what is said before it and just below.
+#
+# Loggers write remarks, keys and values before the names of their columns, and units behind or
+# below them: ``gyroADC[0] (deg/s)``, ``acc [g]``, or a line ``ms,deg/s,g``.
+
+
+COMMENTS = (b"#", b"%", b"//")
+UNITS_BELOW = 6
+"""Lines below a header that may hold no number: units, kinds, names of bodies."""
+LOOKED_AT = 40
+"""Lines by whose number of fields a table's is known."""
+SPLIT_EXPONENT = re.compile(rb",(\d),(\d+[eE]\+\d+)$", re.MULTILINE)
+"""A last number whose decimal comma was taken for a separator."""
+FEWEST_SPACED = 3
+"""Words of a line from which spaces separate them."""
+_SPACES, _ENDS = re.compile(rb"  +"), re.compile(rb"^ +| +$", re.MULTILINE)
+_QUOTED = re.compile(rb'"((?:[^"\n]|"")*)"')
+_UNIT = re.compile(r"(.*\S)\s*[(\[]\s*([^()\[\]]{1,12}?)\s*[)\]]")
+ALIASES = {
+    **{"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms"},
+    **{"usec": "us", "\u00b5s": "us", "\u03bcs": "us", "microseconds": "us", "nsec": "ns"},
+    **{"dps": "deg/s", "\u00b0/s": "deg/s", "degrees/s": "deg/s", "deg/sec": "deg/s"},
+    **{"rad/sec": "rad/s", "radians/s": "rad/s", "m/s2": "m/s^2", "m/s\u00b2": "m/s^2"},
+    **{"m/s/s": "m/s^2", "ms^-2": "m/s^2", "ms-2": "m/s^2", "m/s**2": "m/s^2"},
+    **{"\u00b0": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad"},
+    **{"volt": "V", "volts": "V", "v": "V", "mv": "mV", "RPM": "rpm", "rev/min": "rpm", "G": "g"},
+}
+"""Other spellings of the units that column maps know."""
+KNOWN = {
+    "s",
+    "ms",
+    "us",
+    "ns",
+    "V",
+    "mV",
+    "%",
+    "rad/s",
+    "deg/s",
+    "m/s^2",
+    "g",
+    "rad",
+    "deg",
+    "rev/s",
+    "rpm",
+    "m",
+    "m/s",
+    "mm",
+    "A",
+    "mA",
+    "W",
+    "Pa",
+    "flags",
+    "1",
+    "-",
+    "C",
+    "degC",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """names, units: of each column, units "" where not said; both empty without a header line.
+    data: index of the first line of numbers. said: key -> text of lines before the header."""
+
+    separator: bytes
+    names: list[str]
+    units: list[str]
+    data: int
+    said: dict[str, str] = field(default_factory=dict)
+
+
+def find_header(lines: Sequence[bytes], separator: bytes = b"") -> Header:
+    """The header among a file's first lines that are not blank. separator: where it is known."""
+    first = 0
+    while first < len(lines) - 1 and lines[first].lstrip().startswith(COMMENTS):
+        first += 1
+    first += _preamble(lines[first:], separator)
+    mark = separator or separator_of(lines[first])
+    if mark == b" " and not separator and not _even(lines[first:]):
+        mark = b","
+    cells = plain(lines[first], mark, keep_commas=True).split(mark)
+    above = lines[first - 1].lstrip() if first else b""
+    if _is_numbers(cells):
+        bare = above.lstrip(b"#%/ \t")
+        named = plain(bare, mark, keep_commas=True).split(mark)
+        if above.startswith(COMMENTS) and len(named) == len(cells) > 1 and not _is_numbers(named):
+            return Header(mark, *_named(named), first)
+        return Header(mark, [], [], first)
+    names, units = _named(cells)
+    data = first + 1
+    for _ in range(UNITS_BELOW):
+        if data + 1 >= len(lines):
+            break
+        below = plain(lines[data], mark).split(mark)
+        if any(is_number(one) for one in below) or not _has_number(lines[data + 1 :], mark):
+            break
+        said = [canonical(_text(one).strip("()[]")) for one in below]
+        if len(said) == len(names) and any(said):
+            units = [
+                old or (new if new in KNOWN else "") for old, new in zip(units, said, strict=True)
+            ]
+        data += 1
+    return Header(mark, names, units, data, _said(lines[:first]))
+
+
+def base_name(name: str) -> tuple[str, str]:
+    """A column's name without the unit behind it, and the unit in its usual spelling, or empty."""
+    found = _UNIT.fullmatch(name)
+    if found is None or canonical(found[2]) not in KNOWN:
+        return name, ""
+    return found[1], canonical(found[2])
+
+
+def called(names: Sequence[str]) -> set[str]:
+    """Every name by which a column goes: as in the header, and without its unit."""
+    return {*names, *(base_name(one)[0] for one in names)}
+
+
+def canonical(unit: str) -> str:
+    """A unit as column maps spell it."""
+    return ALIASES.get(unit, ALIASES.get(unit.lower(), unit))
+
+
+def _preamble(lines: Sequence[bytes], separator: bytes) -> int:
+    """How many lines come before the header: those of another width than the table's."""
+    if len(lines) < 3:
+        return 0
+    mark = separator or separator_of(lines[-1])
+    whole = [SPLIT_EXPONENT.sub(rb",\1.\2", plain(one, mark, keep_commas=True)) for one in lines]
+    widths = [len(one.split(mark)) for one in whole]
+    width = Counter(widths[-LOOKED_AT:]).most_common(1)[0][0]
+    if width < 3 or abs(widths[0] - width) <= 1:
+        return 0
+    return next((k for k, one in enumerate(widths) if abs(one - width) <= 1), 0)
+
+
+def _named(cells: Sequence[bytes]) -> tuple[list[str], list[str]]:
+    names = [_text(one) for one in cells]
+    return names, [base_name(one)[1] for one in names]
+
+
+def _said(lines: Sequence[bytes]) -> dict[str, str]:
+    """Lines of a key and a value, quoted or not."""
+    found = {}
+    for line in lines:
+        key, mark, value = line.lstrip(b"#% ").partition(b",")
+        if not mark:
+            key, mark, value = line.lstrip(b"#% ").partition(b":")
+        if mark:
+            found[_text(key).strip('"')] = _text(value).strip('"')
+    return found
+
+
+def _is_numbers(cells: Sequence[bytes]) -> bool:
+    return all(
+        not one.strip() or is_number(one.replace(b",", b".")) or seconds_of(one.decode("latin-1"))
+        for one in cells
+    )
+
+
+def _has_number(lines: Sequence[bytes], mark: bytes) -> bool:
+    return any(
+        is_number(one) for line in lines[:UNITS_BELOW] for one in plain(line, mark).split(mark)
+    )
+
+
+def separator_of(line: bytes) -> bytes:
+    """Tab, semicolon, pipe or comma, whichever a line has outside quotes, or else spaces."""
+    bare = _QUOTED.sub(b"", line)
+    for mark in (b"\t", b";"):
+        if mark in bare:
+            return mark
+    if bare.count(b"|") > bare.count(b","):
+        return b"|"
+    words = bare.split()
+    spaced = b"," not in bare or all(is_number(one.replace(b",", b".")) for one in words)
+    return b" " if spaced and len(words) >= FEWEST_SPACED else b","
+
+
+def _even(lines: Sequence[bytes]) -> bool:
+    """Whether lines are rows of as many words each, and no sentences."""
+    words = [len(one.split()) for one in lines[:LOOKED_AT]]
+    usual = Counter(words[1:]).most_common(1)
+    return bool(usual) and all(abs(one - usual[0][0]) <= 1 for one in words[:-1])
+
+
+def plain(text: bytes, separator: bytes, *, keep_commas: bool = False) -> bytes:
+    """Text without quotes and carriage returns, decimal commas as points."""
+    if b'"' in text:
+        text = _QUOTED.sub(
+            lambda cell: cell.group(1).replace(separator, b"." if separator == b"," else b" "),
+            text,
+        )
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").rstrip(b"\r")
+    if separator != b"," and not keep_commas:
+        text = text.replace(b",", b".")
+    if separator == b" ":
+        text = _SPACES.sub(b" ", text)
+        text = _ENDS.sub(b"", text)
+    return text
+
+
+def is_number(cell: bytes) -> bool:
+    """Whether a cell reads as one."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return b"_" not in cell
+
+
+def _text(cell: bytes) -> str:
+    try:
+        return cell.strip().decode("utf-8")
+    except UnicodeDecodeError:
+        return cell.strip().decode("latin-1")
+
+
+# Delimited text as spreadsheets and loggers write it, read block by block into numbers.
+#
+# Accepted: comma, semicolon, tab, pipe or spaces; decimal comma; quotes; CRLF; a byte-order mark;
+# Excel's ``sep=;`` line; a leading column of row numbers with or without a name; a separator at the
+# end of each line; ``1,23E+09`` unquoted in the last column of a comma-separated line; comments and
+# other lines before the header, and units below it (``table_header``); dates and times of the day,
+# read as seconds, and seconds with a column of their fraction (``time_cells``). A last line
+# without its end that does not read is taken for a torn write: it is left out and named in
+# ``damage``. Any other cell that is not a number is an error with its line and column.
+
 
 BLOCK_BYTES = 8 << 20
 _HEAD_BYTES = 1 << 16

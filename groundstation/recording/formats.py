@@ -1,10 +1,8 @@
-"""The formats of recordings: how a file is told to have one, what reads it, what writes it.
-
-Readers and writers are named, not imported: each is loaded only where it is used.
-"""
+"""The formats that are read and written, and how a recording is opened."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -12,16 +10,136 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from groundstation.documents import read_document, seems
 from groundstation.errors import BadInputError, GroundStationError, RecordingError
-from groundstation.recording.channels import CHANNELS
-from groundstation.recording.column_map import NO_CHANNEL, UNCLEAR_METADATA
+from groundstation.recording.column_map import NO_CHANNEL, UNCLEAR_METADATA, jumps
 from groundstation.recording.delimited import UTF_16
-from groundstation.recording.mcap_scan import looks_like_mcap
-from groundstation.recording.ros_bag import is_bag
-from groundstation.recording.rows import EVERY_ROW, Rows
-from groundstation.recording.session import Recording
-from groundstation.recording.takes_turns import jumps
+from groundstation.recording.mcap_scan import FileWindow, looks_like_mcap
+from groundstation.recording.ros_bag import is_bag, is_bag_folder, read_bag
+from groundstation.recording.session import CHANNELS, EVERY_ROW, Recording, Rows
+from groundstation.recording.soundness import sound
 from groundstation.recording.ulog_file import MAGIC as ULOG_MAGIC
+
+# Formats that are known and not read: what a file is by its content, and what converts it.
+
+
+_LFS = re.compile(rb"version https://git-lfs\.github\.com/spec/v1\s.*?size (\d+)", re.DOTALL)
+_TLOG_US = (10**15, 4 * 10**15)
+"""Unix time in us of a flight after 2001 and before 2096, with which a tlog begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unread:
+    """begins: how such files begin, at ``at``. what: the format. way: what makes something that is
+    read of it."""
+
+    begins: bytes | tuple[bytes, ...]
+    what: str
+    way: str
+    at: int = 0
+
+    def has(self, head: bytes) -> bool:
+        return head[self.at :].startswith(self.begins)
+
+
+_UNPACK = "unpack it first"
+_AS_CSV = "save its table as CSV, and name the columns with --columns"
+UNREAD = (
+    Unread(b"H Product:Blackbox", "a raw Betaflight blackbox log", "blackbox_decode makes CSV"),
+    Unread(b"\xa3\x95", "an ArduPilot dataflash log", "mavlogdump.py --format csv makes CSV"),
+    Unread(b"FMT, ", "a text dump of an ArduPilot log", "mavlogdump.py --format csv makes CSV"),
+    Unread(b"\x89HDF\r\n\x1a\n", "HDF5 (also MATLAB since 7.3)", _AS_CSV),
+    Unread(b"MATLAB 5.0 MAT-file", "a MATLAB file", "writetable makes CSV"),
+    Unread(b"\x93NUMPY", "a single numpy array", "numpy.savetxt makes CSV with a header"),
+    Unread(b"ARROW1", "an Arrow (Feather) file", "pyarrow.parquet.write_table makes Parquet"),
+    Unread(b"TDSm", "a LabVIEW TDMS file", _AS_CSV),
+    Unread(
+        (b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"7z\xbc\xaf", b"\x04\x22\x4d\x18"),
+        "a compressed file",
+        _UNPACK,
+    ),
+    Unread(
+        (b"RRF2", b"RRF1", b"RRF0", b"RRIO"),
+        "a rerun recording",
+        "give the recording that it was made of",
+    ),
+    Unread(b"ustar", "a tar archive", _UNPACK, at=257),
+    Unread(
+        (b"\xd4\xc3\xb2\xa1", b"\x0a\x0d\x0d\x0a"),
+        "a packet capture (pcap)",
+        "record what its packets carry instead",
+    ),
+    Unread(
+        (b"\x80\x03", b"\x80\x04", b"\x80\x05"),
+        "a Python pickle",
+        "to_csv or to_parquet in the program that made it",
+    ),
+    Unread(
+        (b"<!DOCTYPE", b"<!doctype", b"<html", b"<HTML"),
+        "a web page and no recording",
+        "download the file itself ('raw')",
+    ),
+    Unread(b"<?xml", "an XML document", _AS_CSV),
+    Unread(b"%PDF", "a PDF", "take the recording it was made of"),
+    Unread((b"\xd0\xcf\x11\xe0",), "an old Excel workbook", _AS_CSV),
+)
+"""By what a file begins with."""
+
+
+def refuse_unread(path: Path, head: bytes) -> None:
+    """Raises BadInputError where a file's first bytes are those of a known format that is not read,
+    or of a Git LFS pointer in its place."""
+    pointer = _LFS.match(head)
+    if pointer:
+        raise BadInputError(
+            f"{path}: a Git LFS pointer, not the file itself ({int(pointer[1])} bytes):"
+            " git lfs pull"
+        )
+    for one in UNREAD:
+        if one.has(head):
+            raise BadInputError(f"{path}: {one.what}, which is not read; {one.way}")
+    for has, what, way in _BY_RULE:
+        if has(head):
+            raise BadInputError(f"{path}: {what}, which is not read; {way}")
+
+
+def _is_workbook(head: bytes) -> bool:
+    return head.startswith(b"PK\x03\x04") and (
+        b"[Content_Types].xml" in head or b"xl/" in head or b"mimetypeapplication/vnd.oasis" in head
+    )
+
+
+def _is_tlog(head: bytes) -> bool:
+    stamp_us = int.from_bytes(head[:8], "big")
+    return head[8:9] in (b"\xfe", b"\xfd") and _TLOG_US[0] < stamp_us < _TLOG_US[1]
+
+
+def _is_c3d(head: bytes) -> bool:
+    return head[1:2] == b"P" and head[:1] < b" "
+
+
+def _is_optitrack(head: bytes) -> bool:
+    return head.removeprefix(b"\xef\xbb\xbf").startswith(b"Format Version,")
+
+
+_Rule = tuple[Callable[[bytes], bool], str, str]
+_BY_RULE: tuple[_Rule, ...] = (
+    (_is_workbook, "a spreadsheet", _AS_CSV),
+    (_is_tlog, "a MAVLink telemetry log", "mavlogdump.py --format csv makes CSV"),
+    (_is_c3d, "a motion capture C3D file", "export it as CSV"),
+    (
+        _is_optitrack,
+        "motion capture by OptiTrack alone, without gyro and motors",
+        "join it with the craft's own log, or read it with 'skip' in a column map",
+    ),
+)
+"""What takes more than its first bytes to tell."""
+
+
+# The formats of recordings: how a file is told to have one, what reads it, what writes it.
+#
+# Readers and writers are named, not imported: each is loaded only where it is used.
+
 
 _MICROSD_MAGIC = tuple(b"\xbc" + bytes([version, 0]) for version in range(1, 10))
 """Its first byte and the version behind it; later versions are told by their reader."""
@@ -71,7 +189,7 @@ FORMATS = (
         looks_like_mcap,
         "ros_bag.read_recovered",
         ".mcap",
-        "recording_file.write_mcap",
+        "mcap_file.write_mcap",
         keeps_raw=True,
         mapped="ros_bag.read_bag",
     ),
@@ -194,7 +312,7 @@ def writer_of(
     if ros2_hz:
         if suffix != ".mcap":
             raise BadInputError(f"{path}: --ros2 is for MCAP files")
-        return partial(_function("recording_file.write_mcap"), ros2_hz=ros2_hz)
+        return partial(_function("mcap_file.write_mcap"), ros2_hz=ros2_hz)
     if physical:
         if suffix != ".csv":
             raise BadInputError(f"{path}: --physical is for CSV files")
@@ -212,3 +330,56 @@ def _function(name: str) -> Callable[..., Any]:
         import_module(f"groundstation.recording.{module}"), function
     )
     return found
+
+
+# Any readable recording, told by its content.
+
+
+_HEAD_BYTES = 4096
+
+
+def open_recording(
+    path: str | Path,
+    *,
+    raw: bool = False,
+    column_map: str | Path | None = None,
+    rows: Rows = EVERY_ROW,
+) -> Recording:
+    """Read an MCAP, CSV or microSD recording, a ROS bag (also its folder), a ULog or a
+    Parquet table, whatever its name ends with.
+
+    raw: also the packets as received, where the file has them.
+    column_map: what the columns of another program's file mean: the name of a map that ships with
+        the program (``column_map.NAMED``), or a TOML file.
+    rows: which of a table are read, and how many a second there are where no column says it.
+
+    Raises BadInputError or RecordingError, one line each, where the file does not exist,
+    cannot be read, or is nothing that is known here.
+    """
+    path = Path(path)
+    if is_bag_folder(path):
+        return checked(read_bag(path, column_map, rows))
+    window = FileWindow(path)
+    try:
+        head = bytes(window.view(0, min(window.size, _HEAD_BYTES)))
+    finally:
+        window.close()
+    if not head:
+        raise RecordingError(f"{path}: is empty (0 bytes)")
+    if column_map is None or not is_text(head):
+        refuse_unread(path, head)
+    if head.lstrip()[:1] == b"{":
+        raise BadInputError(f"{path}: not a recording{seems(read_document(path))}")
+    return read_as(path, head, raw, column_map, rows)
+
+
+# A recording as every analysis takes it: what is not believed of it is missing.
+
+
+def open_for_analysis(path: str | Path) -> Recording:
+    """Read a recording as ``open_recording`` does, and take as missing (NaN) what
+    ``soundness.rejections`` does not believe; ``soundness.rejected`` says what that is.
+
+    Raises BadInputError or RecordingError, one line each, for what cannot be read.
+    """
+    return sound(open_recording(path))

@@ -1,45 +1,12 @@
-"""Any other CSV through a column map: a TOML file that says column, unit and sign per field.
-
-    [time]
-    column = "t"
-    unit = "ms"
-
-    [gyro.x]
-    column = "wx"
-    unit = "deg/s"
-    sign = -1
-
-``column`` is a name of the header line, with its unit or without (``gyro (deg/s)``), or a number
-counted from 1 (the only choice for a file without a header). Where a header says the unit of a name
-given without, that unit holds. ``scale`` is multiplied with a cell to be in ``unit``; ``per`` names
-a line before the header that says how many are one unit instead. ``unit`` may list several that
-begin elsewhere: the numbers tell it, or ``told_by`` a line before the header that holds their least
-and largest. ``sign = -1`` turns an axis into the design's frame: body x forward, y left,
-z up; roll left side up, pitch nose down, yaw counter-clockwise positive. Fields: time;
-battery; duty.m1..m4; gyro.x..z; accelerometer.x..z; attitude.roll, .pitch, .yaw or
-quaternion.w..z; rotor.m1..m4; debug. Only time is required: a column, or ``step``, the seconds from
-one row to the next, where the file has none. A field may list several columns: the
-first that the file has is taken. ``[tables]`` names further columns, kept as they stand under a
-name of their own. Of the map itself:
-
-- ``title``: what such files are; ``vehicle``: the profile of the craft that flew; ``family``: what
-  is known of a craft that the file does not name.
-- ``partial``: any column but time may be missing; ``signature``: columns by which such a file is
-  recognised (without: all of them).
-- ``yaw_from``: where a yaw of 0 looks.
-- ``skip``: lines before the header.
-- ``commands``: its motors are a Crazyflie's ``motor.m1..m4`` under other names: of old firmware the
-  thrust that was asked for (``thrust_command``).
-- ``kind``, ``rows``: in a log of many series (``"ulog"``, ``"rosbag"``) a column is
-  ``SERIES.FIELD`` and ``rows`` the series that gives the rows: ``series_map`` reads those.
-
-The maps in ``maps/`` ship with the program, under the name of their file.
-"""
+"""A column map as a document: read from TOML, and written."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -57,6 +24,43 @@ from groundstation.telemetry.packet import (
     STANDARD_GRAVITY,
     TICK_S,
 )
+from groundstation.text import printable
+
+# Any other CSV through a column map: a TOML file that says column, unit and sign per field.
+#
+#     [time]
+#     column = "t"
+#     unit = "ms"
+#
+#     [gyro.x]
+#     column = "wx"
+#     unit = "deg/s"
+#     sign = -1
+#
+# ``column`` is a name of the header line, with its unit or without (``gyro (deg/s)``), or a
+# number counted from 1 (the only choice for a file without a header). Where a header says the
+# unit of a name given without, that unit holds. ``scale`` is multiplied with a cell to be in
+# ``unit``; ``per`` names a line before the header that says how many are one unit instead.
+# ``unit`` may list several that begin elsewhere: the numbers tell it, or ``told_by`` a line
+# before the header that holds their least and largest. ``sign = -1`` turns an axis into the
+# design's frame: body x forward, y left, z up; roll left side up, pitch nose down, yaw counter-
+# clockwise positive. Fields: time; battery; duty.m1..m4; gyro.x..z; accelerometer.x..z;
+# attitude.roll, .pitch, .yaw or quaternion.w..z; rotor.m1..m4; debug. Only time is required: a
+# column, or ``step``, the seconds from one row to the next, where the file has none. A field may
+# list several columns: the first that the file has is taken. ``[tables]`` names further columns,
+# kept as they stand under a name of their own. Of the map itself:
+#
+# - ``title``: what such files are; ``vehicle``: the profile of the craft that flew; ``family``:
+# what is known of a craft that the file does not name. - ``partial``: any column but time may be
+# missing; ``signature``: columns by which such a file is recognised (without: all of them). -
+# ``yaw_from``: where a yaw of 0 looks. - ``skip``: lines before the header. - ``commands``: its
+# motors are a Crazyflie's ``motor.m1..m4`` under other names: of old firmware the thrust that was
+# asked for (``thrust_command``). - ``kind``, ``rows``: in a log of many series (``"ulog"``,
+# ``"rosbag"``) a column is ``SERIES.FIELD`` and ``rows`` the series that gives the rows:
+# ``series_map`` reads those.
+#
+# The maps in ``maps/`` ship with the program, under the name of their file.
+
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "ticks": TICK_S},
@@ -216,3 +220,73 @@ def load_column_map(path: Path) -> ColumnMap:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise BadInputError(f"{path}: not a column map: {error}") from error
+
+
+# A column map as the text of its TOML file.
+
+
+_HEADING = ("attitude.yaw", "quaternion.z")
+"""What has a heading: PX4's is from the north, by the frame of its ULog."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A channel's column, unit and sign. step_s: seconds between rows, of time without a column."""
+
+    key: str
+    column: str | int
+    unit: str
+    sign: int = 1
+    step_s: float = 0.0
+
+
+def map_text(
+    chosen: Sequence[Chosen], file: str, kind: Kind = "csv", rows: str = "", command: str = ""
+) -> str:
+    """The TOML text of a map. file: that it was made for. rows: series that gives the rows of a log
+    of many. command: that reads the file with it, for a remark.
+
+    Raises BadInputError where no channel but time is chosen, or a unit or column is none.
+    """
+    if not any(one.key != "time" for one in chosen):
+        raise BadInputError(f"{file}: no channel was given a column; a map needs one beside time")
+    remarks = (f"Columns of {file}", command)
+    lines = [f"# {printable(one)}" for one in remarks if one]
+    if kind != "csv":
+        lines += [f"kind = {_text(kind)}", f"rows = {_text(rows)}"]
+    if kind == "ulog" and any(one.key in _HEADING for one in chosen):
+        lines.append('yaw_from = "north"')
+    for one in chosen:
+        lines += ["", f"[{one.key}]"]
+        if one.step_s:
+            lines.append(f"step = {one.step_s!r}")
+            continue
+        column = one.column if isinstance(one.column, int) else _text(one.column)
+        lines += [f"column = {column}", f"unit = {_text(one.unit)}"]
+        if one.sign < 0:
+            lines.append("sign = -1")
+    text = "\n".join(lines) + "\n"
+    try:
+        decode_toml(text.encode(), ColumnMap)
+    except ValueError as error:
+        raise BadInputError(f"{file}: no column map: {error}") from error
+    return text
+
+
+def rows_of(series: Sequence[str], chosen: Sequence[Chosen]) -> str:
+    """The series that gives the rows of a log of many: that of the gyro, or else of another
+    channel; empty for a table."""
+    order = {"gyro.x": 0, "gyro.y": 1, "accelerometer.x": 2, "time": 4}
+    first = min(chosen, key=lambda one: order.get(one.key, 3), default=None)
+    named = "" if first is None else str(first.column)
+    return max((one for one in series if named.startswith(f"{one}.")), key=len, default="")
+
+
+def command_with(file: Path, map_path: Path) -> str:
+    """The command that reads a file by a map, as a shell takes it."""
+    return f"groundstation inspect {shlex.quote(str(file))} --columns {shlex.quote(str(map_path))}"
+
+
+def _text(value: str) -> str:
+    """A string of TOML: JSON's, but for DEL, which TOML wants escaped."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

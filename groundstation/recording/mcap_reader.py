@@ -13,10 +13,8 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from groundstation.errors import RecordingError
-from groundstation.recording.catalogue import is_held
-from groundstation.recording.cdr import Definition
-from groundstation.recording.channels import UNUSUAL
-from groundstation.recording.mcap_scan import McapScan
+from groundstation.recording.mcap_file import CHANNELS_METADATA
+from groundstation.recording.mcap_scan import McapScan, is_held
 from groundstation.recording.mcap_schemas import (
     COMMAND_TOPIC,
     ENTRY_TOPICS,
@@ -27,11 +25,12 @@ from groundstation.recording.mcap_schemas import (
     SAMPLES_DEFINITION,
     SAMPLES_TOPIC,
     STATISTICS_TOPIC,
+    TABLE_PREFIX,
+    Definition,
+    TableColumns,
     decode_entry,
 )
-from groundstation.recording.mcap_tables import TABLE_PREFIX, TableColumns
-from groundstation.recording.recording_file import CHANNELS_METADATA
-from groundstation.recording.session import Recording
+from groundstation.recording.session import UNUSUAL, Recording
 from groundstation.telemetry.packet import PACKET_BYTES, TICK_S
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
 

@@ -1,20 +1,24 @@
-"""Reading an MCAP file front to back, trusting nothing that no checksum covers.
-
-Torn, flipped and foreign files are the normal case here. Every record is taken apart
-strictly; a chunk counts only when its CRC agrees; where the framing is broken, the next chunk
-whose CRC agrees is looked for. What was passed over is listed, never hidden.
-"""
+"""An MCAP file as it is on disk: its records scanned, catalogued and recovered."""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import os
+import stat
 import struct
 import zlib
+from array import array
 from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from io import BytesIO
 from pathlib import Path
-from typing import Self
+from typing import Any, BinaryIO, Self, TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -23,26 +27,224 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
+    McapRecord,
     Metadata,
+    MetadataIndex,
     Schema,
+    Statistics,
+    SummaryOffset,
 )
 from mcap.writer import MCAP0_MAGIC
 
-from groundstation.errors import RecordingError
-from groundstation.recording.file_window import FileWindow
-from groundstation.recording.mcap_file import CHECKSUM_KEY
-from groundstation.recording.mcap_records import (
-    RECORD,
-    Contents,
-    Damage,
-    DamagedContentError,
-    Message,
-    parse_attachment,
-    parse_contents,
-    parsed,
-)
+from groundstation.documents import open_regular
+from groundstation.errors import BadInputError, RecordingError
+from groundstation.paths import taken
+from groundstation.recording.mcap_file import CHANNELS_METADATA, CHECKSUM_KEY, McapFile
 from groundstation.recording.mcap_schemas import TOPICS, metadata_checksum, usual_topic
-from groundstation.recording.recording_file import CHANNELS_METADATA
+
+# A file of any size read through one buffer.
+
+
+_WINDOW = 4 * 1024 * 1024
+
+
+class FileWindow:
+    """Random access to the ``size`` bytes a file had when it was opened.
+
+    Raises BadInputError where there is no such file, RecordingError where it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        except FileNotFoundError as error:
+            raise BadInputError(f"{path}: no such file") from error
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+        status = os.fstat(self._fd)
+        if not stat.S_ISREG(status.st_mode):
+            self.close()
+            raise BadInputError(f"{path}: not a file; give the recording itself")
+        self.size = status.st_size
+        self._buffer = b""
+        self._start = 0
+
+    def view(self, offset: int, length: int) -> memoryview:
+        """``length`` bytes that the file has; stays valid when the window moves on."""
+        at = offset - self._start
+        if at < 0 or at + length > len(self._buffer):
+            self._buffer = self._read(offset, max(length, _WINDOW))
+            self._start, at = offset, 0
+            if len(self._buffer) < length:
+                raise RecordingError(f"{self._path}: became shorter while it was read")
+        return memoryview(self._buffer)[at : at + length]
+
+    def find(
+        self, patterns: tuple[bytes, ...], start: int, stop: int
+    ) -> Iterator[tuple[int, bytes]]:
+        """Places of any of ``patterns`` between ``start`` and ``stop``, in order."""
+        overlap = max(len(pattern) for pattern in patterns) - 1
+        while start < stop:
+            block = self._read(start, min(_WINDOW, stop - start) + overlap)
+            hits = []
+            for pattern in patterns:
+                at = block.find(pattern)
+                while 0 <= at < _WINDOW:
+                    hits.append((start + at, pattern))
+                    at = block.find(pattern, at + 1)
+            yield from sorted(hits)
+            start += _WINDOW
+
+    def close(self) -> None:
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def _read(self, offset: int, length: int) -> bytes:
+        try:
+            return os.pread(self._fd, length, offset)
+        except OSError as error:
+            raise RecordingError(f"{self._path}: cannot be read: {error.strerror}") from error
+
+
+# MCAP records taken apart strictly: no field reaches beyond its record, none is left over.
+
+
+RECORD = struct.Struct("<BQ")
+"""Opcode and length before every record's body."""
+_MESSAGE = struct.Struct("<HIQQ")
+
+Message = tuple[int, int, int, memoryview]
+"""Channel id, log time (ns), publish time (ns), payload."""
+
+
+Kind = TypeVar("Kind", bound=McapRecord)
+
+
+def parsed(kind: type[Kind], body: bytes | memoryview) -> Kind:
+    """The record of that kind whose body this is. Raises ValueError."""
+    stream = _Strict(BytesIO(body))
+    try:
+        record: Kind = kind.read(stream)
+    except (EndOfFile, OverflowError, struct.error, UnicodeDecodeError) as error:
+        raise ValueError("a record's parts are longer than the record") from error
+    if stream.count != len(body):
+        raise ValueError("a record is longer than its parts")
+    return record
+
+
+class _Strict(ReadDataStream):
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
+
+
+@dataclass(slots=True)
+class Contents:
+    """What a chunk or a summary holds.
+
+    first_ns, last_ns: log times of the messages, where there are any.
+    """
+
+    content: memoryview
+    schemas: list[Schema] = field(default_factory=list)
+    channels: list[Channel] = field(default_factory=list)
+    first_ns: int | None = None
+    last_ns: int = 0
+    places: array[int] = field(default_factory=lambda: array("Q"))
+    """Offset and length of each message: objects would need ten times a small message's size."""
+
+    def messages(self) -> Iterator[Message]:
+        for at, length in zip(self.places[::2], self.places[1::2], strict=True):
+            channel_id, _, log_ns, publish_ns = _MESSAGE.unpack_from(self.content, at)
+            yield channel_id, log_ns, publish_ns, self.content[at + _MESSAGE.size : at + length]
+
+
+def parse_contents(content: bytes) -> Contents:
+    """Messages and definitions in a chunk or a summary. Raises ValueError."""
+    view = memoryview(content)
+    found = Contents(view)
+    first_ns, last_ns = 1 << 64, 0
+    at, total = 0, len(view)
+    while at < total:
+        if at + RECORD.size > total:
+            raise ValueError("a chunk ends inside a record")
+        opcode, length = RECORD.unpack_from(view, at)
+        at += RECORD.size
+        if at + length > total:
+            raise ValueError("a chunk ends inside a record")
+        if opcode == Opcode.MESSAGE:
+            if length < _MESSAGE.size:
+                raise ValueError("a message is shorter than its header")
+            log_ns = _MESSAGE.unpack_from(view, at)[2]
+            first_ns, last_ns = min(first_ns, log_ns), max(last_ns, log_ns)
+            found.places.extend((at, length))
+        elif opcode == Opcode.SCHEMA:
+            found.schemas.append(parsed(Schema, view[at : at + length]))
+        elif opcode == Opcode.CHANNEL:
+            found.channels.append(parsed(Channel, view[at : at + length]))
+        at += length
+    if found.places:
+        found.first_ns, found.last_ns = first_ns, last_ns
+    return found
+
+
+def parse_attachment(body: memoryview) -> Attachment:
+    """Raises ValueError, DamagedContentError where its checksum does not match."""
+    attachment = parsed(Attachment, body)
+    crc = int.from_bytes(body[-4:], "little")
+    if crc and zlib.crc32(body[:-4]) != crc:
+        raise DamagedContentError("an attachment is damaged", RECORD.size + len(body))
+    return attachment
+
+
+class DamagedContentError(ValueError):
+    """The record's framing is sound, so the next one can be found; its content is not."""
+
+    def __init__(self, reason: str, length: int, chunks: int = 0) -> None:
+        super().__init__(reason)
+        self.length = length
+        self.chunks = chunks
+
+
+@dataclass(slots=True)
+class Damage:
+    """A place that could not be read.
+
+    offset, length: bytes of the file passed over.
+    chunks: whole chunks lost with it.
+    before_ns, after_ns: log times of the good messages on either side, where there are any.
+    """
+
+    offset: int
+    length: int
+    reason: str
+    chunks: int = 0
+    before_ns: int | None = None
+    after_ns: int | None = None
+
+    def line(self, start_ns: int | None) -> str:
+        """One line for the reader, times counted from ``start_ns``."""
+        text = f"byte {self.offset}: {self.reason}"
+        if self.length:
+            text += f"; {self.length} bytes passed over"
+        if start_ns is None or self.before_ns is None:
+            return text
+        before_s = (self.before_ns - start_ns) / 1e9
+        if self.after_ns is None:
+            return f"{text}, after {before_s:.3f} s of the recording"
+        return f"{text}, between {before_s:.3f} s and {(self.after_ns - start_ns) / 1e9:.3f} s"
+
+
+# Reading an MCAP file front to back, trusting nothing that no checksum covers.
+#
+# Torn, flipped and foreign files are the normal case here. Every record is taken apart
+# strictly; a chunk counts only when its CRC agrees; where the framing is broken, the next chunk
+# whose CRC agrees is looked for. What was passed over is listed, never hidden.
+
 
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _FOOTER_BYTES = RECORD.size + 20 + len(MCAP0_MAGIC)
@@ -373,3 +575,319 @@ class McapScan:
         for damage in self._unplaced:
             damage.after_ns = time_ns
         self._unplaced.clear()
+
+
+# What a folder of recordings holds, from the ends of its files: fast, and always true.
+
+
+TOTALS = "totals"
+"""Metadata record that a finished recording ends with."""
+
+_SUMMARY_MOST = 1 << 26
+_LAST_NS = 1 << 62
+"""Unix time of the year 2116."""
+
+
+@dataclass(frozen=True, slots=True)
+class CatalogueEntry:
+    """One file. state: finished, recording (by whomever), or torn (it was never finished) or
+    damaged: see ``recover``.
+
+    What only a finished file tells is None for another.
+    """
+
+    file: str
+    bytes: int
+    state: str
+    link: str | None = None
+    session: str | None = None
+    part: int | None = None
+    start_ns: int | None = None
+    duration_s: float | None = None
+    samples: int | None = None
+    raw_packets: int | None = None
+    marks: int | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def catalogue(folder: Path, *, recording: Path | None = None) -> list[CatalogueEntry]:
+    """Every MCAP file of ``folder`` by name; ``recording`` is the one being written.
+
+    Raises RecordingError for a folder that cannot be read; none at all is an empty one.
+    """
+    try:
+        with os.scandir(folder) as found:
+            names = [one.name for one in found if one.name.endswith(".mcap") and one.is_file()]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be read: {error.strerror}") from error
+    entries = []
+    for name in sorted(names):
+        path = folder / name
+        with contextlib.suppress(FileNotFoundError):  # deleted meanwhile
+            entries.append(_entry(path, is_open=path == recording))
+    return entries
+
+
+def _entry(path: Path, *, is_open: bool) -> CatalogueEntry:
+    size = path.stat().st_size
+    if is_open:
+        return CatalogueEntry(path.name, size, "recording")
+    try:
+        with open(open_regular(path), "rb") as file:
+            if not _has_end(file):
+                return CatalogueEntry(path.name, size, "recording" if is_held(path) else "torn")
+            (start_ns, end_ns), metadata = _end_of(file)
+    except (OSError, ValueError):
+        return CatalogueEntry(path.name, size, "damaged")
+    session, totals = metadata.get("session", {}), metadata.get(TOTALS, {})
+    return CatalogueEntry(
+        file=path.name,
+        bytes=size,
+        state="finished",
+        link=session.get("link"),
+        session=session.get("session"),
+        part=_number(session, "part"),
+        start_ns=start_ns,
+        duration_s=round((end_ns - start_ns) * 1e-9, 3),
+        samples=_number(totals, "samples"),
+        raw_packets=_number(totals, "raw_packets"),
+        marks=_number(totals, "marks"),
+    )
+
+
+def _has_end(file: BinaryIO) -> bool:
+    """Whether it ends as a finished file does, one damaged byte allowed."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - len(MCAP0_MAGIC)))
+    return looks_like_mcap(file.read())
+
+
+def is_held(path: Path) -> bool:
+    """Whether somebody is writing the file: a recorder holds a lock. Raises OSError."""
+    with open(open_regular(path), "rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def _end_of(file: BinaryIO) -> tuple[tuple[int, int], dict[str, dict[str, str]]]:
+    """First and last time and the metadata, by way of the footer. Raises ValueError where that is
+    damaged."""
+    tail = RECORD.size + 20 + len(MCAP0_MAGIC)
+    end = file.seek(0, os.SEEK_END) - tail
+    ((opcode, body),) = _records(_read(file, end, RECORD.size + 20))
+    footer = parsed(Footer, body)
+    summary, offsets = footer.summary_start, footer.summary_offset_start
+    if opcode != Opcode.FOOTER or not 0 < summary <= offsets <= end:
+        raise ValueError("no index")
+    content = _read(file, summary, end - summary + RECORD.size + 20)
+    if footer.summary_crc and zlib.crc32(content[:-4]) != footer.summary_crc:
+        raise ValueError("the index is damaged")
+    times, places = None, []
+    for _, offset in _records(content[offsets - summary : end - summary]):
+        group = parsed(SummaryOffset, offset)
+        start = group.group_start - summary
+        if group.group_opcode not in (Opcode.STATISTICS, Opcode.METADATA_INDEX) or start < 0:
+            continue  # of chunks there are thousands
+        for kind, record in _records(content[start : start + group.group_length]):
+            if kind == Opcode.STATISTICS:
+                statistics = parsed(Statistics, record)
+                times = (statistics.message_start_time, statistics.message_end_time)
+            else:
+                index = parsed(MetadataIndex, record)
+                places.append((index.offset, index.length))
+    if times is None or not times[0] <= times[1] < _LAST_NS:
+        raise ValueError("no statistics")
+    metadata = {}
+    for offset, size in places:
+        for _, record in _records(_read(file, offset, size)):
+            metadatum = parsed(Metadata, record)
+            name, items = metadatum.name, metadatum.metadata
+            if items.pop(CHECKSUM_KEY, None) not in (None, metadata_checksum(name, items.items())):
+                raise ValueError("a metadata record is damaged")
+            metadata[name] = items
+    return times, metadata
+
+
+def _read(file: BinaryIO, offset: int, length: int) -> bytes:
+    if not (0 <= offset < 1 << 62 and length <= _SUMMARY_MOST):
+        raise ValueError("not an index")
+    file.seek(offset)
+    content = file.read(length)
+    if len(content) != length:
+        raise ValueError("ends too early")
+    return content
+
+
+def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Kind and body of each record. Raises ValueError."""
+    at = 0
+    while at < len(content):
+        if at + RECORD.size > len(content):
+            raise ValueError("ends inside a record")
+        kind, length = RECORD.unpack_from(content, at)
+        at += RECORD.size
+        yield kind, content[at : at + length]
+        at += length
+
+
+def _number(items: dict[str, str], key: str) -> int | None:
+    text = items.get(key, "")
+    return int(text) if text.isdecimal() else None
+
+
+# Repair of torn and damaged MCAP files: what is readable goes into a fresh file.
+
+
+RECOVERY_METADATA = "recovery"
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveryReport:
+    """What a recovery found and did.
+
+    output: the new file; None where the input is sound and nothing was done.
+    messages: kept, of all topics.
+    chunks_skipped: chunks whose framing was found and whose content was bad.
+    bytes_lost: bytes of the input passed over.
+    seconds_lost: upper bound of the recording time inside the damaged places, seconds; what
+        is missing at a torn end is not in the file and not counted.
+    damage: one line for each damaged place.
+    """
+
+    path: Path
+    sound: bool
+    output: Path | None
+    messages: int
+    chunks_skipped: int = 0
+    bytes_lost: int = 0
+    seconds_lost: float = 0.0
+    damage: list[str] = field(default_factory=list)
+
+
+def recover(path: Path, output: Path | None = None) -> RecoveryReport:
+    """Rewrite what is readable of an MCAP file, of any program, into a fresh file.
+
+    Keeps every topic, definition, attachment and metadata record that can be read, adds a
+    metadata record that says what was lost, needs memory for one chunk at a time, and never
+    touches its input. A sound file is left alone.
+
+    output: by default ``<stem>.recovered.mcap`` beside the input.
+
+    Raises BadInputError where there is no such file, it is being written, or the output exists;
+    RecordingError where nothing can be read or the output cannot be written, and then leaves no
+    output behind.
+    """
+    output = output or path.with_name(f"{path.stem}.recovered.mcap")
+    report, profile = _examine(path)
+    if report.sound:
+        return report
+    if is_held(path):
+        raise BadInputError(f"{path}: is still being written; stop that recording first")
+    if not report.messages:
+        raise RecordingError(f"{path}: nothing to recover: no message can be read")
+    if output.exists():
+        raise BadInputError(taken(output))
+    file = McapFile(output, profile=profile)
+    try:
+        with McapScan(path) as scan:
+            _copy(scan, file)
+        file.add_metadata(_free_name(scan), _summary(report))
+        file.finish()
+    except BaseException as error:
+        file.abandon()
+        with contextlib.suppress(OSError):
+            output.unlink()
+        if isinstance(error, OSError):
+            raise RecordingError(f"{output}: cannot be written: {error.strerror}") from error
+        raise
+    return replace(report, output=output)
+
+
+def _examine(path: Path) -> tuple[RecoveryReport, str]:
+    """What can be read, and the file's profile."""
+    with McapScan(path) as scan:
+        messages = sum(1 for _ in scan.messages())
+        report = RecoveryReport(
+            path=path,
+            sound=not scan.damage,
+            output=None,
+            messages=messages,
+            chunks_skipped=sum(damage.chunks for damage in scan.damage),
+            bytes_lost=sum(damage.length for damage in scan.damage),
+            seconds_lost=sum(after - before for before, after in _lost_spans(scan)) / 1e9,
+            damage=[damage.line(scan.start_ns) for damage in scan.damage],
+        )
+        return report, scan.profile
+
+
+def _lost_spans(scan: McapScan) -> set[tuple[int, int]]:
+    """Log times of the good messages around each place where bytes were passed over."""
+    return {
+        (damage.before_ns, damage.after_ns)
+        for damage in scan.damage
+        if damage.length
+        and damage.before_ns is not None
+        and damage.after_ns is not None
+        and damage.before_ns < damage.after_ns
+    }
+
+
+def _copy(scan: McapScan, file: McapFile) -> None:
+    """All messages, with the channels and definitions they need, then the metadata."""
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+
+    def register(channel: Channel) -> int:
+        schema = scan.schemas.get(channel.schema_id)
+        if channel.schema_id not in schemas:
+            schemas[channel.schema_id] = (
+                file.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+            )
+        return file.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            schemas[channel.schema_id],
+            channel.metadata,
+        )
+
+    scan.on_attachment = file.add_attachment
+    for channel_id, log_ns, publish_ns, payload in scan.messages():
+        if channel_id not in channels:
+            channels[channel_id] = register(scan.channels[channel_id])
+        file.add_message(channels[channel_id], log_ns, payload, publish_ns)
+    for channel_id, channel in scan.channels.items():  # those without a message
+        if channel_id not in channels:
+            channels[channel_id] = register(channel)
+    for name, items in scan.metadata:
+        if name != CHANNELS_METADATA:
+            file.add_metadata(name, items)
+    topics = {str(number): scan.topic(channel_id) for channel_id, number in channels.items()}
+    file.add_metadata(CHANNELS_METADATA, topics)
+
+
+def _free_name(scan: McapScan) -> str:
+    """``recovery``, or ``recovery 2`` and so on where the input was a recovery itself."""
+    taken = {name for name, _ in scan.metadata}
+    name, number = RECOVERY_METADATA, 2
+    while name in taken:
+        name, number = f"{RECOVERY_METADATA} {number}", number + 1
+    return name
+
+
+def _summary(report: RecoveryReport) -> dict[str, str]:
+    places = {f"damage_{n}": line for n, line in enumerate(report.damage, start=1)}
+    return {
+        "source": report.path.name,
+        "messages": str(report.messages),
+        "chunks_skipped": str(report.chunks_skipped),
+        "bytes_lost": str(report.bytes_lost),
+        "seconds_lost": f"{report.seconds_lost:.3f}",
+        **places,
+    }

@@ -17,16 +17,15 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from groundstation.errors import RecordingError
-from groundstation.recording.catalogue import TOTALS
-from groundstation.recording.mcap_file import McapFile
+from groundstation.recording.mcap_file import McapFile, RecordingFile
+from groundstation.recording.mcap_scan import TOTALS
 from groundstation.recording.mcap_schemas import (
     COMMAND_TOPIC,
     EVENTS_TOPIC,
     STATISTICS_TOPIC,
+    TableTopic,
     encode_entry,
 )
-from groundstation.recording.mcap_tables import TableTopic
-from groundstation.recording.recording_file import RecordingFile
 from groundstation.recording.session import Table
 from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
 

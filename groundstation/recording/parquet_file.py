@@ -12,22 +12,20 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
-from groundstation.recording.column_map import mapped_columns
-from groundstation.recording.map_plan import Said
-from groundstation.recording.rows import EVERY_ROW, Rows
-from groundstation.recording.session import Recording
-from groundstation.recording.table_header import base_name
-from groundstation.recording.takes_turns import LOOKED_AT
-from groundstation.recording.time_cells import (
+from groundstation.recording.column_map import LOOKED_AT, mapped_columns
+from groundstation.recording.delimited import (
     CELLS,
     DAY_S,
     FRACTION,
     UNNAMED_TIME,
+    base_name,
     begins_anew,
     fractions_of,
     seconds_of,
     unwrapped,
 )
+from groundstation.recording.map_plan import Said
+from groundstation.recording.session import EVERY_ROW, Recording, Rows
 
 _WHOSE = ("string", "large_string", "dictionary", "int", "uint", "bool", "float", "double", "half")
 """Types whose cells are shown as text."""

@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.column_map import (
     NO_CHANNEL,
     NOTES_METADATA,
+    ROWS_METADATA,
     UNCLEAR_METADATA,
 )
-from groundstation.recording.plausibility import (
+from groundstation.recording.session import CHANNELS, Channel, Recording
+from groundstation.recording.soundness import (
     FASTEST_HZ,
     KINDS,
     SLOWEST_HZ,
     absent,
     contradictions,
     ranges_of,
+    rejections,
+    without,
 )
-from groundstation.recording.row_order import ROWS_METADATA
-from groundstation.recording.session import Recording
-from groundstation.recording.soundness import rejections, without
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,

@@ -21,12 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError, install
+from groundstation.recording.column_map import PARTS_SHOWN as SHOWN
+from groundstation.recording.column_map import TOPIC, read_mapped_series, under
 from groundstation.recording.mcap_reader import ForeignMcapError, read_mcap
 from groundstation.recording.mcap_scan import looks_like_mcap
-from groundstation.recording.rows import EVERY_ROW, Rows
-from groundstation.recording.series import Series
-from groundstation.recording.series_map import SHOWN, TOPIC, read_mapped_series, under
-from groundstation.recording.session import Recording
+from groundstation.recording.session import EVERY_ROW, Recording, Rows, Series
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

@@ -15,7 +15,7 @@ from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
 from groundstation.links.names import STAND_IN, argument_of, is_stand_in, split_name
-from groundstation.recording.catalogue import CatalogueEntry
+from groundstation.recording.mcap_scan import CatalogueEntry
 from groundstation.service import overview, requests
 from groundstation.service.answers import Status
 from groundstation.service.config import settings

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.recording.catalogue import catalogue
+from groundstation.recording.mcap_scan import catalogue
 from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.service.config import MEBIBYTE, RecordingConfig
 from groundstation.service.sessions import OUR_NAME, Sessions

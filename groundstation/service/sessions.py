@@ -13,8 +13,8 @@ from groundstation.errors import BadInputError
 from groundstation.links.clock import HostClock, steady_clock
 from groundstation.links.event import LinkEvent
 from groundstation.paths import dated
+from groundstation.recording.mcap_file import session_metadata
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
-from groundstation.recording.recording_file import session_metadata
 from groundstation.telemetry.decoder import LinkStatistics
 from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
 

@@ -12,7 +12,7 @@ from groundstation.control.firmware_loop import gains_text
 from groundstation.control.linear_loop import GAINS
 from groundstation.dynamics.model import Model, load_model
 from groundstation.identification.runs import Run, runs_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.shell import Shell
 from groundstation.telemetry.samples import SampleBatch
 

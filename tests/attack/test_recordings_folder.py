@@ -9,9 +9,8 @@ import pytest
 
 from groundstation.cli.run import _require_something
 from groundstation.errors import BadInputError, GroundStationError, RecordingError
-from groundstation.recording.catalogue import catalogue
+from groundstation.recording.mcap_scan import catalogue, recover
 from groundstation.recording.mcap_writer import McapRecorder
-from groundstation.recording.recover import recover
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.station import Station

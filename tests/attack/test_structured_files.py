@@ -11,9 +11,9 @@ from pyarrow.parquet import write_table
 
 from groundstation.errors import GroundStationError
 from groundstation.recording.csv_file import write_table_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import write_mcap
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recording_file import write_mcap
 
 TIMES = ["Timestamp", "time_s", "time (us)", "t", "timestamp", "# Timestamp", "Timestamp (s)"]
 NAMES = [

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
+from groundstation.recording.formats import open_recording
 from groundstation.recording.map_document import load_column_map
-from groundstation.recording.open_recording import open_recording
 from support.daemons import COMMAND
 from support.waiting import until
 

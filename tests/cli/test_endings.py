@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 from support.daemons import COMMAND, Daemon, groundstation, require_failure
 from support.programs import Program, run_program

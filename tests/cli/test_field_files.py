@@ -11,7 +11,7 @@ from groundstation.cli.app import app
 from groundstation.dynamics.model import load_model
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.recording.csv_file import write_table_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.session import Recording
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from groundstation.cli.app import app
 from groundstation.dynamics.model import load_model
 from groundstation.recording.csv_file import write_table_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.session import Recording
 from support.foreign_logs import FIXED, log_bytes, write_crazyswarm2
 

@@ -13,11 +13,10 @@ from groundstation.cli.model_files import model_before
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.recording.craft_family import vehicle_of
 from groundstation.recording.csv_file import write_csv
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recording_file import RecordingFile
-from groundstation.recording.session import Recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import RecordingFile
+from groundstation.recording.session import Recording, vehicle_of
 from support.flights import recorded
 from support.programs import run_program
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
 from groundstation.links.software_craft import SoftwareCraft
-from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.mcap_file import write_mcap
 from groundstation.recording.session import Recording
 from support import RECORDINGS
 from support.daemons import in_process

@@ -11,7 +11,7 @@ from groundstation.cli.app import app
 from groundstation.dynamics.model import EffectTerm, Estimate, save_model
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.session import Recording
 from support.daemons import Daemon
 from support.flights import BASE, CARRYING_GAINS, MEDIUM, affected, recorded

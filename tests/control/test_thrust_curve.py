@@ -11,7 +11,7 @@ from groundstation.control.firmwares import PLATFORMS, firmware_of_model, flown_
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.learn.manoeuvres import HOVER, Limits, flight_of
-from groundstation.recording.open_for_analysis import open_for_analysis
+from groundstation.recording.formats import open_for_analysis
 
 
 def flown(tmp_path, craft, release):

@@ -20,7 +20,7 @@ from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import BODY_KEYS, MOTOR_KEYS, point_of
 from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.runs import flights_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support.flights import BASE, flown
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

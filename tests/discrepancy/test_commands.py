@@ -16,7 +16,7 @@ from groundstation.discrepancy.report_json import CompareReport, DiscrepancyRepo
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.recording.recording_file import RecordingFile, session_metadata
+from groundstation.recording.mcap_file import RecordingFile, session_metadata
 from groundstation.telemetry.samples import SampleBatch
 from support.daemons import COMMAND, in_process, require_failure
 from support.flights import BASE, CARRYING_GAINS, recorded

@@ -19,8 +19,8 @@ from groundstation.fleet.craft_search import CraftFlights, search_craft
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.division import stretches_of
 from groundstation.identification.runs import bridged
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import write_mcap
 from support.daemons import COMMAND, require_failure
 from support.programs import run_program
 

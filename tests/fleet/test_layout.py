@@ -8,7 +8,7 @@ import pytest
 from groundstation.fleet.fit import fit_all, fits_table
 from groundstation.fleet.index import index, recordings_of
 from groundstation.recording.csv_file import write_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 from support.daemons import scheduler, worker
 from support.programs import free_port

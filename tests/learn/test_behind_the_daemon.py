@@ -12,7 +12,7 @@ import pytest
 
 from groundstation.cli.learn_flights import DaemonPlace
 from groundstation.errors import GroundStationError
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.client import Pilot, ask
 from support.daemons import COMMAND, Daemon, groundstation, require_failure
 from support.learning import begun, planned

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.control.firmware_loop import load_gains
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support.daemons import COMMAND, groundstation, in_process, require_failure
 from support.learning import PHASES, begun
 from support.programs import Program

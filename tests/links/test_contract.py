@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from groundstation.links.factory import make_link
-from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.mcap_file import write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.samples import SampleBatch
 from support import RECORDINGS, packets

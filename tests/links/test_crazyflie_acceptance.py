@@ -12,7 +12,7 @@ from groundstation.links.base import LinkState
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
 from groundstation.links.log_plan import LogPlan
 from groundstation.links.log_rows import LogRows
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
 from groundstation.service.station import Station
 from groundstation.telemetry.samples import SampleBatch

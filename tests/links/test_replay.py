@@ -10,8 +10,8 @@ import pytest
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.links.replay import FAST, ReplayLink
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recording_file import RecordingFile, write_mcap
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import RecordingFile, write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch

@@ -11,7 +11,7 @@ from groundstation.cli.learn_flights import CLIENT, FastPlace
 from groundstation.errors import BadInputError
 from groundstation.learn.manoeuvres import FlightPlan, Limits, library
 from groundstation.links.software_craft import SoftwareCraft
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 
 SETTINGS = '[stand_in]\nplant = "{plant}"\ncraft = "{craft}"\n{more}'
 

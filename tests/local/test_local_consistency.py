@@ -15,7 +15,7 @@ from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import flights_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 
 DATA = os.environ.get("GROUNDSTATION_LOCAL_DATA")
 pytestmark = pytest.mark.skipif(

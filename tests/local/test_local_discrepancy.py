@@ -21,7 +21,7 @@ from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import flights_of, runs_of, without_gaps
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support.daemons import COMMAND
 from support.programs import run_program
 

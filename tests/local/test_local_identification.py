@@ -16,7 +16,7 @@ from groundstation.identification.body.workflow import predicted_rates, validate
 from groundstation.identification.division import hold_out, stretches_of
 from groundstation.identification.motor.rotors import fit_rotors, rotor_runs, validate_rotor
 from groundstation.identification.runs import runs_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 
 DATA = os.environ.get("GROUNDSTATION_LOCAL_DATA")
 pytestmark = pytest.mark.skipif(

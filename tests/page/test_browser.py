@@ -9,7 +9,7 @@ import psutil
 import pytest
 
 from firmware_sim.supervisor import CRASHED
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 from support.crafts import served
 from support.daemons import groundstation

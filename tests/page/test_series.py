@@ -11,7 +11,7 @@ import pytest
 from groundstation.errors import GroundStationError
 from groundstation.page.opening import UnknownColumnsError, add, add_example
 from groundstation.page.series import ROWS_MOST, series, write
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 
 

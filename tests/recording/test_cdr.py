@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from groundstation.recording.cdr import HEADER, Definition
+from groundstation.recording.mcap_schemas import HEADER, Definition
 
 NUMBERS = [
     "int8",

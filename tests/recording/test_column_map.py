@@ -13,9 +13,9 @@ from groundstation.cli.app import app
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.column_map import read_mapped_csv
 from groundstation.recording.csv_file import read_csv
+from groundstation.recording.formats import open_recording
 from groundstation.recording.map_document import NAMED, UNITS, load_column_map
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.mcap_file import write_mcap
 from groundstation.telemetry.packet import STANDARD_GRAVITY, TICK_S
 
 ROOT = Path(__file__).parents[2]

@@ -8,8 +8,8 @@ import pytest
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.recording.craft_family import require_craft_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.session import require_craft_of
 
 LOG = Path(__file__).parents[2] / "recordings" / "microsd_log16"
 

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInputError
-from groundstation.recording.map_columns import columns_of
-from groundstation.recording.map_document import ColumnMap
-from groundstation.recording.map_guess import KEYS, FileColumn, guess_map
-from groundstation.recording.map_text import Chosen, map_text, rows_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.map_document import Chosen, ColumnMap, map_text, rows_of
+from groundstation.recording.map_guess import KEYS, FileColumn, columns_of, guess_map
 from support import RECORDINGS
 from support.foreign_logs import FIXED, log_bytes, write_ros2, write_ulog
 

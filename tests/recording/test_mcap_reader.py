@@ -8,10 +8,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.cdr import Definition
+from groundstation.recording.mcap_file import RecordingFile, write_mcap
 from groundstation.recording.mcap_reader import read_mcap
-from groundstation.recording.mcap_schemas import SAMPLE_FIELDS, SAMPLES_DEFINITION
-from groundstation.recording.recording_file import RecordingFile, write_mcap
+from groundstation.recording.mcap_schemas import SAMPLE_FIELDS, SAMPLES_DEFINITION, Definition
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 from support.packets import (

@@ -15,14 +15,13 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.mcap_file import McapFile
+from groundstation.recording.mcap_file import McapFile, session_metadata, write_mcap
 from groundstation.recording.mcap_reader import read_mcap
+from groundstation.recording.mcap_scan import recover
+from groundstation.recording.mcap_schemas import quaternion
 from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recording_file import session_metadata, write_mcap
-from groundstation.recording.recover import recover
 from groundstation.recording.session import Recording
-from groundstation.recording.standard_messages import quaternion
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
 from support.packets import (
     COPIES,

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.errors import BadInputError
-from groundstation.recording.microsd import read_microsd
-from groundstation.recording.microsd_channels import gyro_unit_of
-from groundstation.recording.microsd_scan import longest_in_order
+from groundstation.recording.microsd import longest_in_order, read_microsd
+from groundstation.recording.motor_columns import gyro_unit_of
 from support.foreign_logs import FIXED, header_bytes, log_bytes, record_bytes
 
 LOG16 = Path(__file__).parents[2] / "recordings" / "microsd_log16"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import RecordingError
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support.packets import assert_same_samples
 from support.programs import run_program
 

@@ -6,7 +6,7 @@ from groundstation import recording as package
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording import formats
 from groundstation.recording.csv_file import write_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.session import Recording
 from support.packets import assert_same_samples, flight, write_flight
 

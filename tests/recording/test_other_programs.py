@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_table_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import write_mcap
+from groundstation.recording.mcap_scan import recover
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recording_file import write_mcap
-from groundstation.recording.recover import recover
-from groundstation.recording.rows import Rows
+from groundstation.recording.session import Rows
 from support.foreign_logs import (
     write_betaflight,
     write_cfclient,

@@ -6,8 +6,8 @@ import pytest
 from pyarrow.parquet import write_table
 
 from groundstation.errors import BadInputError, GroundStationError, RecordingError
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import write_mcap
 
 ROWS = 400
 TIME = 0.01 * np.arange(ROWS)

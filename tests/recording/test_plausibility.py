@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.recording.csv_file import read_csv, write_table_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.recording.session import Recording
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from groundstation.recording.px4_motors import motors_of
-from groundstation.recording.series import Series
+from groundstation.recording.session import Series
+from groundstation.recording.ulog_file import motors_of
 
 ROWS = 500
 TIME_NS = np.arange(ROWS) * 4_000_000

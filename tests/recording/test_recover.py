@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 from groundstation.errors import BadInputError, GroundStationError, RecordingError
 from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_reader import read_mcap
-from groundstation.recording.recover import recover
+from groundstation.recording.mcap_scan import recover
 from support.packets import (
     COPIES,
     assert_same_packets,

@@ -9,9 +9,8 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.formats import writer_of
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recover import recover
+from groundstation.recording.formats import open_recording, writer_of
+from groundstation.recording.mcap_scan import recover
 from groundstation.recording.session import Recording
 from groundstation.rerun_log.installed import rerun_program
 from support.programs import run_program

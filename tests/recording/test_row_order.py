@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.column_map import WRAPS_S, order_of
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import write_mcap
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recording_file import write_mcap
-from groundstation.recording.row_order import WRAPS_S, order_of
 
 MS = 1e-3
 COUNTERS = [(bits, unit_s) for bits in (24, 32) for unit_s in (1e-3, 1e-6)]

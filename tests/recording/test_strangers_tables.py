@@ -10,12 +10,10 @@ from typer.testing import CliRunner
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
 from groundstation.paths import digest
-from groundstation.recording.map_columns import columns_of
-from groundstation.recording.map_guess import guess_map
-from groundstation.recording.open_for_analysis import open_for_analysis
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_for_analysis, open_recording
+from groundstation.recording.map_guess import columns_of, guess_map
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.rows import Rows
+from groundstation.recording.session import Rows
 from groundstation.recording.soundness import rejected
 
 ROWS, HZ = 400, 100.0

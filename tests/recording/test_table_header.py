@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.recording.column_map import read_mapped_csv
-from groundstation.recording.delimited import open_table
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.table_header import base_name
+from groundstation.recording.delimited import base_name, open_table
+from groundstation.recording.formats import open_recording
 
 HEADER = "Timestamp,gyro.x,gyro.y,gyro.z,acc.z"
 ROWS = [f"{2 * k},{k % 7},{-k % 5},{k % 3},0.98" for k in range(40)]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from groundstation.recording.thrust_command import is_command
+from groundstation.recording.motor_columns import is_command
 
 
 @pytest.mark.parametrize(

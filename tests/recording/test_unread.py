@@ -3,7 +3,7 @@
 import pytest
 
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 
 REST = bytes(range(256)) * 4
 FILES = {

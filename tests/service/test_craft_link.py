@@ -14,7 +14,7 @@ from groundstation.links.base import LinkState
 from groundstation.links.command import CommandState
 from groundstation.links.crazyflie import STATE_S
 from groundstation.links.supervisor import DISARMED_ITSELF, Supervisor
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service import overview
 from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig

@@ -11,6 +11,7 @@ import pytest
 from groundstation.errors import BadInputError, GroundStationError, LinkError, TakenError
 from groundstation.links import serial as serial_module
 from groundstation.links.names import LINKS
+from groundstation.recording.formats import open_recording
 from groundstation.recording.mcap_scan import McapScan
 from groundstation.recording.mcap_schemas import (
     EVENTS_TOPIC,
@@ -18,7 +19,6 @@ from groundstation.recording.mcap_schemas import (
     RAW_TOPIC,
     decode_entry,
 )
-from groundstation.recording.open_recording import open_recording
 from groundstation.service import overview
 from groundstation.service import receiver as receiver_module
 from groundstation.service.api import permitted_link

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInputError
-from groundstation.recording.catalogue import catalogue
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_scan import catalogue
 from groundstation.recording.mcap_writer import McapRecorder
-from groundstation.recording.open_recording import open_recording
 from groundstation.service import overview, recording_manager
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.recording_manager import delete_oldest

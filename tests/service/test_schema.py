@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.links.event import LinkEvent
-from groundstation.recording.catalogue import CatalogueEntry
+from groundstation.recording.mcap_scan import CatalogueEntry
 from groundstation.service.answers import HealthStatus, Status
 from groundstation.service.client import Client
 from groundstation.service.config import Config, RecordingConfig

@@ -5,7 +5,7 @@ import pytest
 
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.sessions import Sessions
 from groundstation.telemetry.decoder import Decoder, LinkMeter
 from support.packets import COPIES, assert_same_samples, flight

@@ -8,7 +8,7 @@ import pytest
 from groundstation.errors import BadInputError, LinkEndedError, LinkError, LinkLostError
 from groundstation.links.base import Link
 from groundstation.page.alarms import alarms
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service import overview
 from groundstation.service import receiver as receiver_module
 from groundstation.service.client import ask

@@ -10,7 +10,7 @@ import pytest
 
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError, LinkLostError
 from groundstation.links.base import Link, LinkState
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service import overview
 from groundstation.service import receiver as receiver_module
 from groundstation.service import station as station_module

@@ -19,8 +19,8 @@ from groundstation.cli.app import app
 from groundstation.errors import GroundStationError
 from groundstation.page.columns import form_of
 from groundstation.page.series import write
-from groundstation.recording.map_columns import columns_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.map_guess import columns_of
 
 LARGEST = 200_000
 """Bytes of a field file that is taken whole; a longer one is cut at a line."""

@@ -16,7 +16,7 @@ from groundstation.dynamics.model import load_model
 from groundstation.links.replay import FAST, ReplayLink
 from groundstation.links.serial import SerialLink
 from groundstation.links.stand_in import StandInLink
-from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.mcap_file import write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import COLUMNS, RawBatch

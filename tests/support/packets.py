@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from groundstation.recording.recording_file import RecordingFile
+from groundstation.recording.mcap_file import RecordingFile
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,

@@ -15,8 +15,8 @@ from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import runs_of
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recording_file import session_metadata, write_mcap
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import session_metadata, write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch

@@ -8,9 +8,9 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from groundstation.recording.csv_file import write_csv, write_table_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import write_mcap
 from groundstation.recording.parquet_file import write_parquet
-from groundstation.recording.recording_file import write_mcap
 from groundstation.recording.session import Recording
 from support import RECORDINGS, ROOT
 from support.foreign_logs import (

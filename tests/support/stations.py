@@ -51,7 +51,7 @@ def serve(config: Config, path: Path, conversation: Callable[[Station], T]) -> T
 
 def only_recording(config: Config) -> Any:
     """The only recording that was made."""
-    from groundstation.recording.open_recording import open_recording
+    from groundstation.recording.formats import open_recording
 
     (path,) = Path(config.recording.folder).glob("*.mcap")
     return open_recording(path)

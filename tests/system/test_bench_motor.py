@@ -10,7 +10,7 @@ import pytest
 
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.client import ask
 from support.daemons import COMMAND, Daemon
 from support.programs import Program, free_port, run_program

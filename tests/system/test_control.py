@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support.daemons import Daemon, gaps, in_process, require_failure
 
 

@@ -7,7 +7,7 @@ import pytest
 from mcap.writer import Writer
 
 from groundstation.recording.csv_file import read_csv
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 from support.daemons import in_process, refused_run, require_failure
 from support.packets import chunks, flight, write_flight

@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from groundstation.errors import GroundStationError
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service.client import ask
 from support import shim

@@ -9,7 +9,7 @@ import typer
 
 from groundstation import __version__
 from groundstation.cli.app import app
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 from support.daemons import in_process, inspected, require_failure
 

@@ -1,7 +1,7 @@
 """A disk that fills up while the daemon records."""
 
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recover import recover
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_scan import recover
 from support.daemons import Daemon, gaps, in_process
 
 

@@ -8,9 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_scan import recover
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recover import recover
 from groundstation.telemetry.samples import COLUMNS
 from support import RECORDINGS
 from support.daemons import Daemon

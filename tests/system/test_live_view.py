@@ -5,7 +5,7 @@ import signal
 import psutil
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
 from support import RECORDINGS
 from support.daemons import Daemon, gaps

@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.config import Config, load_config, settings
 from support import RECORDINGS
 from support.daemons import COMMAND, Daemon, in_process, require_failure

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from groundstation.cli.commanding import kept
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.client import Pilot, ask
 from support import RECORDINGS
 from support.daemons import COMMAND, Daemon, groundstation, in_process, require_failure

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.client import ask
 from support.daemons import COMMAND, Daemon, require_failure
 from support.programs import Program, free_port, run_program

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.telemetry.samples import COLUMNS
 from support import RECORDINGS

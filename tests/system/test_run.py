@@ -9,8 +9,8 @@ import stat
 import numpy as np
 import pytest
 
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recover import recover
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_scan import recover
 from support import RECORDINGS
 from support.daemons import Daemon, gaps, in_process, refused_run, require_failure
 from support.programs import on_free_ports

@@ -9,7 +9,7 @@ import pytest
 
 from firmware_sim.serial_port import SerialPort
 from groundstation.links.replay import FAST
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support.one_flight import flight_and_bench, record, require_equal, results
 
 LINKS = ("stand-in", "replay", "serial")

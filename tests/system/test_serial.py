@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recover import recover
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_scan import recover
 from support.daemons import Daemon, refused_run
 from support.programs import Program
 from support.waiting import until

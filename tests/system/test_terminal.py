@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 from support.daemons import COMMAND, gaps
 from support.programs import on_free_ports

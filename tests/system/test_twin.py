@@ -5,8 +5,8 @@ import json
 import pytest
 
 from groundstation.dynamics.model import save_model
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.recording_file import RecordingFile, session_metadata
+from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import RecordingFile, session_metadata
 from support import RECORDINGS
 from support.daemons import Daemon, in_process, refused_run
 from support.flights import BASE

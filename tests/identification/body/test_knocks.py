@@ -6,7 +6,7 @@ from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.body.workflow import knocks
 from groundstation.identification.division import stretches_of
 from groundstation.identification.runs import runs_of
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 
 RECORDINGS = Path(__file__).parents[3] / "recordings"
 

@@ -17,7 +17,7 @@ from groundstation.identification.likelihood.motion import (
     own_of,
     point_of,
 )
-from groundstation.recording.recording_file import RecordingFile, session_metadata
+from groundstation.recording.mcap_file import RecordingFile, session_metadata
 from support.daemons import COMMAND, groundstation
 from support.flights import BASE, CARRYING_GAINS, recorded
 from support.programs import run_program

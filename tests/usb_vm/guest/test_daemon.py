@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from emulated_bridge import OUT, EmulatedBridge, RecordedFlight, rows_of
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.station import Station
 

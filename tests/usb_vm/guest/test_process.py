@@ -7,7 +7,7 @@ import time
 import numpy as np
 import psutil
 
-from groundstation.recording.open_recording import open_recording
+from groundstation.recording.formats import open_recording
 from groundstation.telemetry.packet import SAMPLE_TICKS
 from support.daemons import COMMAND, Daemon
 from support.waiting import until
