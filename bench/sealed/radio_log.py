@@ -14,8 +14,7 @@ import numpy as np
 
 from firmware_sim.craft import StandIn
 from firmware_sim.crtp import APPEND_V2, CREATE_V2, LOG, START_V2, Conversation
-from groundstation.links.log_plan import LogPlan, plan_log
-from groundstation.links.log_rows import LogPacket, LogRows
+from groundstation.links.log_rows import LogPacket, LogPlan, LogRows, plan_log
 from groundstation.telemetry.samples import SampleBatch
 
 PERIOD_MS = 4

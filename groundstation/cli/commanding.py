@@ -11,7 +11,7 @@ from typing import Any
 
 from groundstation import BadInputError, GroundStationError, Pilot
 from groundstation.cli.terminal import require_yes, say
-from groundstation.links.supervisor import NOT_ARMED
+from groundstation.links.command import NOT_ARMED
 from groundstation.service.client import ask
 from groundstation.service.motor_stop import BY_OPERATOR, LANDED_BY_OPERATOR
 

@@ -18,7 +18,7 @@ from groundstation.cli.motors import add_commands as add_motors
 from groundstation.cli.page import add_commands as add_page
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import show, show_json
-from groundstation.links.names import KINDS
+from groundstation.links.factory import KINDS
 from groundstation.service.client import ask
 from groundstation.text import printable
 

@@ -56,7 +56,7 @@ def craft_in_reach(usb: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str
     """Stock craft that answer a dongle or cable among ``usb``, and why they cannot be looked for.
     Keys as ``usb_devices``."""
     from groundstation.cli.usb_devices import CRAZYFLIE
-    from groundstation.links.craft_address import LOOKED_THROUGH, in_reach, ways_of
+    from groundstation.links.command import LOOKED_THROUGH, in_reach, ways_of
     from groundstation.service.dongles import Dongles
 
     if not any(row["name"] in CRAZYFLIE for row in usb):

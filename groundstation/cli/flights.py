@@ -86,7 +86,7 @@ def _is_aided(recording: Recording) -> bool:
     """By the velocity that the firmware's filter said to a daemon."""
     import numpy as np
 
-    from groundstation.links.craft_place import TABLE
+    from groundstation.links.crazyflie_connection import TABLE
 
     table = recording.tables.get(TABLE)
     velocity = None if table is None else table.columns.get("stateEstimate.vx")

@@ -34,7 +34,7 @@ def udev(
     Example: [bold]groundstation install udev --print | sudo tee
     /etc/udev/rules.d/70-groundstation.rules[/bold]
     """
-    from groundstation.links.usb_device import parse_ids
+    from groundstation.links.usb import parse_ids
     from groundstation.service.config import load_config
 
     rule = udev_rule(*parse_ids(load_config(config).usb.device))

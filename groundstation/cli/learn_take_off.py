@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from groundstation import GroundStationError, Pilot
 from groundstation.cli.commanding import LOOK_S, require_ready
 from groundstation.control.programme import Standing, trouble_of
-from groundstation.links.supervisor import NOT_ARMED
+from groundstation.links.command import NOT_ARMED
 
 WAIT_S = 600.0
 """How long a craft that stands, or a full battery, is waited for."""

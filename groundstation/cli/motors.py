@@ -8,7 +8,7 @@ from groundstation import GroundStationError, socket_path
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import require_yes, show, show_json
-from groundstation.links.craft_address import is_software
+from groundstation.links.command import is_software
 from groundstation.service.client import ask
 from groundstation.service.lander import LANDED
 from groundstation.service.motor_stop import STOPPED

@@ -15,7 +15,7 @@ from groundstation import BadInputError, GroundStationError, load_model
 from groundstation.cli.height_flight import Flyable
 from groundstation.cli.learn_flights import CLIENT, FastPlace
 from groundstation.control.step_analysis import analyse_recording
-from groundstation.links.supervisor import PLACE
+from groundstation.links.command import PLACE
 from groundstation.recording.formats import open_for_analysis
 
 if TYPE_CHECKING:

@@ -20,11 +20,11 @@ from groundstation.cli.config import assignments
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.signals import stopped_by_signals
 from groundstation.cli.terminal import say
-from groundstation.links.names import KINDS, split_name
+from groundstation.links.factory import KINDS, split_name
 from groundstation.viewer.child import ViewerMode
 
 if TYPE_CHECKING:
-    from groundstation.links.event import LinkEvent
+    from groundstation.links.command import LinkEvent
     from groundstation.service.config import Config
     from groundstation.service.station import Station
 

@@ -69,7 +69,7 @@ def _why_not(device: Any) -> str:
 
     node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
     if os.path.exists(node) and not os.access(node, os.R_OK | os.W_OK):
-        from groundstation.links.usb_device import PERMISSION_HELP
+        from groundstation.links.usb import PERMISSION_HELP
 
         return f"no permission for {node}; {PERMISSION_HELP}"
     try:

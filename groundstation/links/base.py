@@ -15,9 +15,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from groundstation.errors import LinkEndedError, LinkError, LinkLostError
-from groundstation.links.clock import HostClock, steady_clock
-from groundstation.links.command import CommandLink
-from groundstation.links.event import EventSink, LinkEvent
+from groundstation.links.command import CommandLink, EventSink, HostClock, LinkEvent, steady_clock
 from groundstation.telemetry.decoder import DecoderCounts
 from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
 

@@ -1,24 +1,537 @@
-"""The interface every command link has: setpoints and parameters towards the craft.
-
-Telemetry comes in on one link, commands go out on another: a real system is a receiver and a
-Crazyradio. Everything that passes in either direction is reported for the recording.
+"""The command link: its interface, and the craft behind it (address, supervisor, storage,
+landing).
 """
 
 from __future__ import annotations
 
+import contextlib
 import enum
+import io
+import ipaddress
 import math
+import re
+import struct
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import urlsplit
 
-from groundstation.errors import BadInputError, LinkError
-from groundstation.links.clock import HostClock, steady_clock
-from groundstation.links.event import EventSink, LinkEvent
-from groundstation.links.parameter_storage import ParameterStorage
-from groundstation.links.supervisor import Supervisor
+from groundstation.errors import BadInputError, LinkError, install
 from groundstation.telemetry.samples import LogTable
+
+# The host clock: Unix time that never steps.
+#
+# Stamps are CLOCK_MONOTONIC plus a constant taken once, so that a stepped system
+# clock (NTP, an operator) changes no interval inside a session.
+
+
+HostClock = Callable[[], int]
+"""Returns nanoseconds since the Unix epoch, never running backwards."""
+
+
+def steady_clock() -> HostClock:
+    """A clock anchored to the system's Unix time at this call and monotonic ever after."""
+    anchor_ns = time.time_ns() - time.monotonic_ns()
+    return lambda: anchor_ns + time.monotonic_ns()
+
+
+# What a link tells beside its telemetry.
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEvent:
+    """Something worth telling the operator and the recording."""
+
+    time_ns: int
+    link: str
+    kind: str
+    """One word: opened, streaming, silent, lost, ended, closed, fault, restart ..."""
+    text: str
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+EventSink = Callable[[LinkEvent], None]
+
+
+# What today's firmware says of its supervisor, its battery and its height, in words for an
+# operator.
+
+
+INFO, POWER = "supervisor.info", "pm.state"
+HEIGHT, HEIGHT_VARIANCE = "stateEstimate.z", "kalman.varZ"
+PLACE_VARIANCES = ("kalman.varX", "kalman.varY")
+STATE = (INFO, POWER, HEIGHT, HEIGHT_VARIANCE, *PLACE_VARIANCES)
+"""Log variables, slow ones."""
+PLACE = tuple(f"stateEstimate.{name}" for name in ("x", "y", "z", "vx", "vy", "vz"))
+LEAN = ("stabilizer.roll", "stabilizer.pitch")
+"""Log variables, fast ones."""
+LOW_POWER = 3
+HEIGHT_KNOWN_M = 0.1
+"""Standard error of a height, or a place, that a craft can be left with: the estimator begins at
+1 m, and stays there or grows where nothing measures it; ranges, base stations or anchors make it
+some mm to cm."""
+_CAN_ARM, _ARMED, _ARMS_ITSELF, _FLIES = (1 << place for place in (0, 1, 2, 4))
+_TUMBLED, _LOCKED, _CRASHED, _DECK_FAULT = (1 << place for place in (5, 6, 7, 11))
+DISARMED_ITSELF = (
+    "the craft has disarmed its motors by itself, as it does where it is not flown soon, and soon"
+    " after a landing"
+)
+NOT_ARMED = "the craft is not armed: `groundstation motors arm`, or on the page (Arm...)"
+TUMBLED = "the craft lies on its side or its back: set it upright"
+BATTERY_LOW = "the craft warns that its battery is low: land"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Position (m) and velocity (m/s) in the world frame of the craft's estimator. tilt_deg: of its
+    axis from the vertical, NaN where it does not say. heard_s: when it came, monotonic."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    vx_m_s: float
+    vy_m_s: float
+    vz_m_s: float
+    tilt_deg: float = math.nan
+    heard_s: float = 0.0
+
+    @classmethod
+    def of(cls, values: dict[str, float], heard_s: float) -> Place:
+        """From the log variables of ``PLACE`` and, where there are any, of ``LEAN``."""
+        roll, pitch = (math.radians(values.get(name, math.nan)) for name in LEAN)
+        upright = math.cos(roll) * math.cos(pitch)
+        x, y, z, vx, vy, vz = (values[name] for name in PLACE)
+        return cls(x, y, z, vx, vy, vz, math.degrees(math.acos(upright)), heard_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Supervisor:
+    """bits: of ``supervisor.info``, None: the craft does not say. low_battery: it warns of that.
+    height_m: what its Kalman filter says, None where it is not sure of that. knows_place: whether
+    that filter is sure of the position in the plane. place: where it was last, None before it said
+    so."""
+
+    bits: int | None = None
+    low_battery: bool = False
+    height_m: float | None = None
+    knows_place: bool = False
+    place: Place | None = None
+
+    @classmethod
+    def of(cls, values: dict[str, float]) -> Supervisor:
+        """From log variables; what the firmware does not list is missing."""
+        bits, height_m = values.get(INFO), values.get(HEIGHT, math.nan)
+        return cls(
+            None if bits is None else int(bits),
+            values.get(POWER) == LOW_POWER,
+            height_m if _is_sure(values, HEIGHT_VARIANCE) and math.isfinite(height_m) else None,
+            all(_is_sure(values, name) for name in PLACE_VARIANCES),
+        )
+
+    @property
+    def armed(self) -> bool | None:
+        return None if self.bits is None else bool(self.bits & _ARMED)
+
+    @property
+    def arms_itself(self) -> bool:
+        return bool((self.bits or 0) & _ARMS_ITSELF)
+
+    @property
+    def flies(self) -> bool:
+        """Whether it takes itself for flying, as it does until 2 s after its motors last turned."""
+        return bool((self.bits or 0) & _FLIES)
+
+    @property
+    def crashed(self) -> bool:
+        """Whether it calls itself crashed, and flies no more until it is asked to recover."""
+        return bool((self.bits or 0) & _CRASHED)
+
+    @property
+    def tumbled(self) -> bool:
+        """Whether it lies on its side or its back."""
+        return bool((self.bits or 0) & _TUMBLED)
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with it, and what to do; empty where it says nothing of that."""
+        bits = self.bits or 0
+        if bits & _DECK_FAULT:  # it keeps the craft from flying, and locks it in flight
+            return (
+                "a deck of the craft has reported a fault of its hardware (its console says more):"
+                " take the deck off, switch the craft off and on"
+            )
+        if bits & _LOCKED:
+            return (
+                "the craft has locked itself, by an emergency stop or because setpoints ceased in"
+                " flight: switch it off and on"
+            )
+        if self.crashed:
+            return (
+                "the craft says that it has crashed: set it upright, then `groundstation motors"
+                " recover`, or on the page (Recover), or switch it off and on"
+            )
+        if self.tumbled:
+            return TUMBLED
+        return ""
+
+    @property
+    def refusal(self) -> str:
+        """Why it does not let itself be armed; empty where it says nothing of that."""
+        if self.trouble or self.bits is None or self.bits & (_ARMED | _CAN_ARM):
+            return self.trouble
+        return "its checks before flight have not passed"
+
+    @property
+    def hindrance(self) -> str:
+        """What keeps it from flying, and what to do; empty where it says nothing of that."""
+        if self.trouble or self.bits is None or self.armed or self.arms_itself:
+            return self.trouble
+        return NOT_ARMED
+
+
+def _is_sure(values: dict[str, float], variance: str) -> bool:
+    """Whether a coordinate is known; a filter that does not run says 0."""
+    return 0.0 < values.get(variance, 0.0) <= HEIGHT_KNOWN_M**2
+
+
+# What a craft keeps of its parameters while it is switched off.
+#
+# Firmware of 2022 and later has a memory for them and loads it when it is switched on, over the
+# values that its image was built with. The requests are those of CRTP port 2, channel 3: a command
+# and the parameter's number, 16 bits, little-endian, which the answer repeats.
+
+
+MISC = (2, 3)
+"""Port and channel."""
+STORE, GET_STATE, CLEAR = 3, 4, 5
+STORED, NOT_STORED = 1, 0
+READS_S, WRITES_S = 1.0, 3.0
+"""How long an answer is waited for: a memory that is full is tidied up before it is written."""
+
+Ask = Callable[[bytes, float], Awaitable[bytes | None]]
+"""Sends a request, up to so many s; what its answer has behind the request's own bytes, or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredValue:
+    """A parameter that can be stored. default: of the firmware. stored: None where nothing is."""
+
+    default: float
+    stored: float | None
+
+    @property
+    def loaded(self) -> float:
+        """What it is after the next power-on."""
+        return self.default if self.stored is None else self.stored
+
+
+class ParameterStorage:
+    """That of one connected craft.
+
+    numbers: of each parameter that can be stored, by full name, its number and the format of its
+    value (``struct``). states: of those that were read. trouble: why the others were not, or empty.
+    """
+
+    def __init__(self, uri: str, numbers: Mapping[str, tuple[int, str]], ask: Ask) -> None:
+        self.uri, self.numbers = uri, dict(numbers)
+        self.states: dict[str, StoredValue] = {}
+        self.trouble = ""
+        self._ask = ask
+
+    def require(self, name: str) -> None:
+        """Raises BadInputError for a parameter that cannot be stored."""
+        if name not in self.numbers:
+            raise BadInputError(
+                f"parameter {name} cannot be stored: this craft's firmware forgets it when it is"
+                " switched off"
+            )
+
+    async def read(self, name: str) -> StoredValue:
+        """Ask what is stored. Raises LinkError where the craft does not say."""
+        answer = await self._asked(GET_STATE, name, READS_S)
+        state = state_in(answer, self.numbers[name][1])
+        if state is None:
+            raise LinkError(f"{self.uri}: the craft does not say what it has stored of {name}")
+        self.states[name] = state
+        return state
+
+    async def store(self, name: str, value: float) -> None:
+        """Store the present value and read it back. value: what that is.
+
+        Raises LinkError where the craft does not confirm it."""
+        self.states.pop(name, None)
+        if (await self._asked(STORE, name, WRITES_S))[:1] != b"\0":
+            raise LinkError(
+                f"{self.uri}: the craft refused to store {name}; its memory may be full"
+            )
+        state = await self.read(name)
+        if state.stored is None or not math.isclose(state.stored, value, rel_tol=1e-6):
+            raise LinkError(f"{self.uri}: {name} is stored as {state.stored}, not as {value:g}")
+
+    async def clear(self, name: str) -> None:
+        """Forget what is stored, if anything is, and read that back: the parameter is what it is
+        until the next power-on. Raises LinkError where the craft does not confirm it."""
+        self.states.pop(name, None)
+        await self._asked(CLEAR, name, WRITES_S)
+        if (await self.read(name)).stored is not None:
+            raise LinkError(f"{self.uri}: the craft did not clear what it has stored of {name}")
+
+    async def _asked(self, command: int, name: str, patience_s: float) -> bytes:
+        self.require(name)
+        answer = await self._ask(request(command, self.numbers[name][0]), patience_s)
+        if answer is None:
+            raise LinkError(
+                f"{self.uri}: no answer about the stored value of {name} within {patience_s:g} s;"
+                " try again"
+            )
+        return answer
+
+
+def request(command: int, number: int) -> bytes:
+    """What asks for something of a parameter."""
+    return struct.pack("<BH", command, number)
+
+
+def state_in(answer: bytes, form: str) -> StoredValue | None:
+    """What the answer to ``GET_STATE`` says, behind the request's bytes; None for a refusal or an
+    answer that is none. form: of the value, as ``<f``."""
+    if not answer or answer[0] not in (STORED, NOT_STORED):
+        return None
+    size, is_stored = struct.calcsize(form), answer[0] == STORED
+    if len(answer) < 1 + size * (1 + is_stored):
+        return None
+    (default,) = struct.unpack_from(form, answer, 1)
+    stored = struct.unpack_from(form, answer, 1 + size)[0] if is_stored else None
+    return StoredValue(float(default), None if stored is None else float(stored))
+
+
+# How a craft that holds its height is brought down: level, slowly, motors off at the ground. Pure,
+# on the clock of whoever uses it.
+
+
+SINK_M_S = 0.3
+"""A craft that meets the ground so fast stays upright; its propellers stay whole."""
+LONGEST_S, GROUND_S = 6.0, 0.7
+"""The whole landing, at most; how long no height is asked for before it is over at the latest."""
+SLOW_M = 0.6
+"""From so high on it sinks at ``SINK_M_S``, however high it began."""
+FLOOR_M = 0.02
+"""A craft that says it is lower than this stands: it falls the rest, and meets the floor with
+0.5 m/s; from 5 cm it is 0.8 m/s. Where its sensor says more on the floor, the time ends it."""
+CLIMBS_M_S, NEAR_M = 0.1, 0.05
+"""One that is as low and climbs has just left the floor: cut there, it would fall from 20 cm. One
+that is higher than the second and still moves is not down, whatever was asked for."""
+BELOW_M, STANDS_S, STILL_M = 0.25, 0.6, 0.02
+"""A craft that is asked for so much less than its height, and for so long has not moved by more
+than this, stands on something."""
+LOW_M, MET_DPS = 0.15, 150.0
+"""Asked for less than this, a craft that turns so fast has met the ground: level flight never
+does."""
+APART_M = 0.3
+"""A height that was asked for and is so far from the measured one is not where it begins."""
+
+
+class Landing:
+    """One landing, begun at ``now_s`` (any monotonic clock, s).
+
+    height_m: that was asked for last; None: the measured one. measured_m: the craft's own, None
+    where it does not say. over: why it is, empty while it goes on.
+    """
+
+    def __init__(
+        self, now_s: float, height_m: float | None = None, measured_m: float | None = None
+    ) -> None:
+        known_m = 0.0 if measured_m is None else measured_m
+        is_there = height_m is not None and (
+            measured_m is None or abs(height_m - measured_m) <= APART_M
+        )
+        self.over = ""
+        self._begun_s = now_s
+        self._from_m = max(height_m if height_m is not None and is_there else known_m, 0.0)
+        self._measured: deque[tuple[float, float]] = deque()
+
+    def asked_m(self, now_s: float) -> float:
+        """The height to ask for, m."""
+        time_s, high_m = max(now_s - self._begun_s, 0.0), self._from_m
+        slow_m = min(high_m, SLOW_M)
+        left_s = LONGEST_S - GROUND_S - slow_m / SINK_M_S
+        fast_s = min(left_s, (high_m - slow_m) / SINK_M_S)
+        if time_s < fast_s:
+            return high_m - (high_m - slow_m) * time_s / fast_s
+        return max(slow_m - SINK_M_S * (time_s - fast_s), 0.0)
+
+    def tick(
+        self,
+        now_s: float,
+        measured_m: float | None = None,
+        turns_dps: float | None = None,
+        climb_m_s: float | None = None,
+    ) -> float | None:
+        """The height to ask for now, m, or None: it is over, and the motors are to stop.
+
+        measured_m: the craft's own height. turns_dps: its fastest rate about any axis. climb_m_s:
+        upwards. None where it does not say.
+        """
+        asked_m = self.asked_m(now_s)
+        climbs = climb_m_s is not None and climb_m_s > CLIMBS_M_S
+        self.over = self.over or self._ended(now_s, asked_m, measured_m, turns_dps, climbs)
+        return None if self.over else asked_m
+
+    def _ended(
+        self,
+        now_s: float,
+        asked_m: float,
+        measured_m: float | None,
+        turns_dps: float | None,
+        climbs: bool,
+    ) -> str:
+        still = measured_m is not None and self._is_still(now_s, measured_m)
+        down_s = now_s - self._begun_s
+        if measured_m is not None:
+            if measured_m <= FLOOR_M and not climbs:
+                return "it is on the floor"
+            if asked_m <= measured_m - BELOW_M and still:
+                return "it stands on something"
+        if turns_dps is not None and turns_dps > MET_DPS and asked_m <= LOW_M:
+            return "it has met the ground"
+        sinks = measured_m is not None and measured_m > NEAR_M and not still
+        is_down = down_s >= GROUND_S and self.asked_m(now_s - GROUND_S) <= 0.0 and not sinks
+        return "its time is up" if is_down or down_s >= LONGEST_S else ""
+
+    def _is_still(self, now_s: float, measured_m: float) -> bool:
+        """Whether the height has not moved for ``STANDS_S``."""
+        kept = self._measured
+        kept.append((now_s, measured_m))
+        while len(kept) > 1 and kept[1][0] <= now_s - STANDS_S:
+            kept.popleft()
+        heights = [height_m for _, height_m in kept]
+        return kept[0][0] <= now_s - STANDS_S and max(heights) - min(heights) <= STILL_M
+
+
+# Where a craft is reached: addresses as cflib writes them, by which dongle or cable they lead, and
+# what answers there.
+
+
+ADDRESSES = (
+    "udp://HOST:PORT, usb://0 or radio://0/80/2M/E7E7E7E7E7 (dongle or its serial number, channel 0"
+    " to 125, rate 250K, 1M or 2M, address of ten hexadecimal digits)"
+)
+LOOKED_THROUGH = ("radio://0/0/2M", "usb://0")
+"""The dongle and the cable that ``in_reach`` opens."""
+HINT = f"install it with {install('radio')}"
+
+_RADIO = re.compile(
+    r"radio://(?P<dongle>\d{1,9}|[0-9A-Fa-f]{10,32})/(?P<channel>\d{1,3})"
+    r"(/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?)?/?(\?rate_limit=\d+)?"
+)
+_CABLE = re.compile(r"usb://(?P<cable>\d+)")
+_LAST_CHANNEL, _LEAST_SERIAL = 125, 10
+
+
+def is_address(uri: str) -> bool:
+    """Whether cflib can make anything of it: of what it cannot it says so in words of Python, and
+    a wrong channel it finds only once there is a dongle."""
+    if radio := _RADIO.fullmatch(uri):
+        return int(radio["channel"]) <= _LAST_CHANNEL
+    if not uri.startswith("udp://"):
+        return _CABLE.fullmatch(uri) is not None
+    try:
+        parts = urlsplit(uri)
+        return bool(parts.hostname and parts.port)
+    except ValueError:  # the port
+        return False
+
+
+def is_software(uri: str) -> bool:
+    """Whether a software craft of this machine answers there: UDP leads to real ones as well."""
+    if uri.startswith("software:"):
+        return True
+    try:
+        address = udp_address(uri)
+        host = "" if address is None else address[0]
+        return host == "localhost" or (
+            isinstance(found := ipaddress.ip_address(host), ipaddress.IPv4Address)
+            and found.is_loopback
+        )
+    except (BadInputError, ValueError):
+        return False
+
+
+def udp_address(uri: str) -> tuple[str, int] | None:
+    """Host and port of ``udp://HOST:PORT``, None for another scheme. Raises BadInputError."""
+    parts = urlsplit(uri)
+    if parts.scheme != "udp":
+        return None
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if host is None or port is None:
+        raise BadInputError(f"command link {uri!r}: give it as udp://HOST:PORT")
+    return host, port
+
+
+def ways_of(uris: Iterable[str]) -> dict[str, set[str]]:
+    """Names of the dongle or cable that each address leads through, empty for another link.
+
+    A dongle has two, its number and its serial number, where it is plugged in and tells: USB is
+    asked, so not on the event loop.
+    """
+    return {uri: _ways_of(uri) for uri in uris}
+
+
+def _ways_of(uri: str) -> set[str]:
+    if cable := _CABLE.fullmatch(uri):
+        return {f"cable {int(cable['cable'])}"}
+    radio = _RADIO.fullmatch(uri)
+    return set() if radio is None else both_names(radio["dongle"], _serial_numbers())
+
+
+def both_names(dongle: str, plugged_in: Sequence[str]) -> set[str]:
+    """Of a dongle given by one of them. plugged_in: serial numbers in the order of the numbers."""
+    dongle = str(int(dongle)) if len(dongle) < _LEAST_SERIAL else dongle.upper()
+    names = {dongle}
+    for number, serial in enumerate(plugged_in):
+        if dongle in (str(number), serial.upper()):
+            names |= {str(number), serial.upper()}
+    return {f"dongle {name}" for name in names}
+
+
+def _serial_numbers() -> list[str]:
+    """Of the dongles that are plugged in; empty where a user may not read one, or without cflib."""
+    try:
+        from cflib.drivers.crazyradio import get_serials
+
+        return [str(serial) for serial in get_serials()]
+    except Exception:  # of libusb, pyusb and cflib: whoever opens the dongle is told why
+        return []
+
+
+def in_reach() -> list[str]:
+    """Addresses of the craft that answer a dongle or a cable; takes seconds with a dongle.
+
+    Raises BadInputError without cflib.
+    """
+    try:
+        from cflib.crtp.radiodriver import RadioDriver
+        from cflib.crtp.usbdriver import UsbDriver
+    except ImportError as error:
+        raise BadInputError(f"to look for craft cflib is needed: {HINT}") from error
+    found: list[str] = []
+    with contextlib.redirect_stdout(io.StringIO()):  # cflib prints what it does not find
+        for driver in (RadioDriver(), UsbDriver()):
+            found += [uri for uri, *_ in driver.scan_interface(None)]
+    return found
+
+
+# The interface every command link has: setpoints and parameters towards the craft.
+#
+# Telemetry comes in on one link, commands go out on another: a real system is a receiver and a
+# Crazyradio. Everything that passes in either direction is reported for the recording.
+
 
 THRUST_MOST = 60000
 """The firmware limits thrust to this."""

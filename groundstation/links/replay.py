@@ -13,7 +13,7 @@ import numpy as np
 from groundstation.background import in_background
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError
 from groundstation.links.base import Link, LinkBatch, LinkOptions
-from groundstation.links.clock import HostClock
+from groundstation.links.command import HostClock
 from groundstation.recording.formats import open_recording
 from groundstation.recording.mcap_scan import FileWindow
 from groundstation.telemetry.samples import RawBatch, SampleBatch

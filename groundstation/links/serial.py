@@ -18,7 +18,7 @@ import numpy as np
 from groundstation.background import in_background, left_running
 from groundstation.errors import BadInputError, GroundStationError, LinkError, LinkLostError
 from groundstation.links.base import Link, LinkOptions
-from groundstation.links.clock import HostClock
+from groundstation.links.command import HostClock
 from groundstation.telemetry.packet import SERIAL_FRAME_BYTES as FRAME_BYTES
 from groundstation.telemetry.packet import Deframer, port_and_baud
 from groundstation.telemetry.samples import RawBatch

@@ -9,9 +9,8 @@ import msgspec
 import numpy as np
 
 from groundstation.errors import BadInputError
-from groundstation.links.craft_place import PLACE_MS, TABLE, THRUST
-from groundstation.links.landing import Landing
-from groundstation.links.supervisor import LEAN, PLACE
+from groundstation.links.command import LEAN, PLACE, Landing
+from groundstation.links.crazyflie_connection import PLACE_MS, TABLE, THRUST
 from groundstation.recording.mcap_file import session_metadata, write_mcap
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.decoder import decode_all

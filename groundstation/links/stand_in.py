@@ -14,8 +14,7 @@ from groundstation.compiling import announced
 from groundstation.documents import explained
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link, LinkOptions
-from groundstation.links.clock import HostClock
-from groundstation.links.craft_address import udp_address
+from groundstation.links.command import HostClock, udp_address
 from groundstation.telemetry.samples import RawBatch
 
 BATCH_S = 0.01

@@ -13,8 +13,8 @@ import msgspec
 
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
-from groundstation.links.event import LinkEvent
-from groundstation.links.names import STAND_IN, argument_of, is_stand_in, split_name
+from groundstation.links.command import LinkEvent
+from groundstation.links.factory import STAND_IN, argument_of, is_stand_in, split_name
 from groundstation.recording.mcap_scan import CatalogueEntry
 from groundstation.service import overview, requests
 from groundstation.service.answers import Status

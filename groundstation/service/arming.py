@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 
 from groundstation.errors import BadInputError, LinkError, TakenError
-from groundstation.links.command import LOOK_S, CommandLink
-from groundstation.links.supervisor import TUMBLED
+from groundstation.links.command import LOOK_S, TUMBLED, CommandLink
 
 ANSWER_S = 2.0
 """A craft that has not answered a request to arm by then does not."""

@@ -22,9 +22,7 @@ from groundstation.errors import (
     TakenError,
 )
 from groundstation.links.base import LinkState
-from groundstation.links.command import LIFE_S, CommandLink, CommandState
-from groundstation.links.landing import LONGEST_S
-from groundstation.links.supervisor import Supervisor
+from groundstation.links.command import LIFE_S, LONGEST_S, CommandLink, CommandState, Supervisor
 from groundstation.service.arming import Asking
 from groundstation.service.changes import Changes
 from groundstation.service.command_connection import CommandConnection

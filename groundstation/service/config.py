@@ -15,7 +15,7 @@ import msgspec
 from groundstation.documents import decode_toml, explained, read_document
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.links.names import KINDS, STAND_IN
+from groundstation.links.factory import KINDS, STAND_IN
 from groundstation.text import printable
 
 MEBIBYTE = 1 << 20

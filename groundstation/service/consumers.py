@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.telemetry.decoder import LinkStatistics
 from groundstation.telemetry.samples import LogTable, SampleBatch
 

@@ -14,11 +14,14 @@ from groundstation.background import in_background
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
-from groundstation.links.clock import HostClock
-from groundstation.links.command import CommandLink
-from groundstation.links.craft_address import ways_of
-from groundstation.links.factory import make_command_link, make_link, serve_commands
-from groundstation.links.names import CRAFT, is_stand_in
+from groundstation.links.command import CommandLink, HostClock, ways_of
+from groundstation.links.factory import (
+    CRAFT,
+    is_stand_in,
+    make_command_link,
+    make_link,
+    serve_commands,
+)
 from groundstation.service.commander import Commander
 from groundstation.service.config import DEFAULT_VEHICLE, Config, link_speed
 from groundstation.service.dongles import Dongles

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from operator import itemgetter
 
-from groundstation.links.clock import HostClock
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import HostClock, LinkEvent
 from groundstation.service.twin import BEGAN
 from groundstation.text import printable
 

@@ -8,8 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from groundstation.links.command import LOOK_S, CommandLink, CommandState
-from groundstation.links.landing import LONGEST_S, Landing
+from groundstation.links.command import LONGEST_S, LOOK_S, CommandLink, CommandState, Landing
 from groundstation.service.motor_stop import NOT_TOLD, SEEN_S, STOPPED, Note, Stop, send_level
 
 TILT_MOST_DEG = 50.0

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from groundstation.errors import NotAuthorisedError, TakenError
-from groundstation.links.command import CommandLink
-from groundstation.links.craft_address import is_software
+from groundstation.links.command import CommandLink, is_software
 from groundstation.service import requests
 from groundstation.service.config import FailsafeConfig
 from groundstation.service.lander import LANDS, Descent

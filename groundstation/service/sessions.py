@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInputError
-from groundstation.links.clock import HostClock, steady_clock
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import HostClock, LinkEvent, steady_clock
 from groundstation.paths import dated
 from groundstation.recording.mcap_file import session_metadata
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus

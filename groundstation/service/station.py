@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from groundstation.links.base import Link
-from groundstation.links.clock import steady_clock
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent, steady_clock
 from groundstation.service.changes import Changes, changes_path
 from groundstation.service.commander import Commander
 from groundstation.service.config import (

@@ -11,8 +11,7 @@ from functools import partial
 
 from groundstation.background import in_background
 from groundstation.errors import BadInputError, GroundStationError, TakenError
-from groundstation.links.command import CommandLink
-from groundstation.links.parameter_storage import ParameterStorage
+from groundstation.links.command import CommandLink, ParameterStorage
 from groundstation.service.command_connection import CommandConnection
 from groundstation.service.flight_end import FlightEnd
 from groundstation.service.lease import Lease

@@ -15,7 +15,7 @@ import numpy as np
 
 from groundstation.comparison.gap import CHANNELS
 from groundstation.errors import TakenError
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
 from groundstation.telemetry.decoder import LinkStatistics
 from groundstation.telemetry.samples import LogTable, SampleBatch

@@ -14,7 +14,7 @@ from groundstation.background import in_background
 from groundstation.compiling import announced
 from groundstation.dynamics.model import Model, load_model
 from groundstation.errors import BadInputError
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 import numpy as np
 
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.decoder import LinkStatistics
 from groundstation.telemetry.samples import COLUMNS, LogTable, SampleBatch, empty_samples

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from groundstation.errors import BadInputError, TakenError
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.rerun_log.installed import rerun_command, rerun_program
 from groundstation.telemetry.decoder import LinkStatistics
 from groundstation.telemetry.samples import LogTable, SampleBatch

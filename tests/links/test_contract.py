@@ -117,7 +117,7 @@ class TestReplayOfSamples(MadeByTheFactory, FiniteLinkContract):
 
 def test_a_link_is_added_by_one_row_and_one_file(tmp_path, monkeypatch):
     from groundstation import links
-    from groundstation.links.names import LINKS, split_name
+    from groundstation.links.factory import LINKS, split_name
 
     (tmp_path / "thesis_excerpt.py").write_text(
         "from pathlib import Path\n"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from groundstation.links.craft_address import both_names, is_software, ways_of
+from groundstation.links.command import both_names, is_software, ways_of
 
 SERIALS = ("5CC6CC66B8", "e7a0b1c2d3")
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 import itertools
 
-from groundstation.links.cflib_calls import newest_only
-from groundstation.links.craft_console import (
+from groundstation.links.crazyflie import CrazyflieTelemetry
+from groundstation.links.crazyflie_connection import (
     LINE_CHARACTERS,
     LINES_A_SECOND,
     LINES_AT_ONCE,
     Console,
+    newest_only,
 )
-from groundstation.links.crazyflie_log import CrazyflieTelemetry
 from support.crafts import narrow, served
 
 

@@ -13,10 +13,9 @@ from firmware_sim.craft_state import CraftState
 from firmware_sim.supervisor import LOCKED
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links import crazyflie
-from groundstation.links.command import CommandState
+from groundstation.links.command import CommandState, Place, Supervisor
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.factory import make_command_link
-from groundstation.links.supervisor import Place, Supervisor
 from groundstation.telemetry.samples import LogTable
 from support.crafts import ServedCraft, served
 from support.crafts import flown_link as flown

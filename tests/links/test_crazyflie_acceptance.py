@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from groundstation.links.base import LinkState
-from groundstation.links.crazyflie_log import CrazyflieTelemetry
-from groundstation.links.log_plan import LogPlan
-from groundstation.links.log_rows import LogRows
+from groundstation.links.crazyflie import CrazyflieTelemetry
+from groundstation.links.log_rows import LogPlan, LogRows
 from groundstation.recording.formats import open_recording
 from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
 from groundstation.service.station import Station
@@ -126,7 +125,7 @@ def test_an_hour_of_two_blocks_250_times_a_second_is_whole() -> None:
 @pytest.mark.parametrize(("silent_s", "segments"), [(0.5, 1), (60.0, 2)])
 def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent_s, segments):
     """The craft's clock goes on by as much while nothing is heard, without that anybody waits."""
-    patience = "groundstation.links.crazyflie_log.SILENT_S"
+    patience = "groundstation.links.crazyflie.SILENT_S"
     monkeypatch.setattr(patience, PATIENCE_S)  # a slow machine is no silent craft
     station = Station(
         Config(

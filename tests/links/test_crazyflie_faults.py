@@ -15,8 +15,8 @@ import pytest
 from usb.core import USBError
 
 from groundstation.errors import BadInputError, LinkError
+from groundstation.links.crazyflie import CrazyflieTelemetry
 from groundstation.links.crazyflie_connection import Connection, _explained
-from groundstation.links.crazyflie_log import CrazyflieTelemetry
 from support.crafts import ServedCraft, served
 from support.programs import free_port, run_program
 

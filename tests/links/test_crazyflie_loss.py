@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from groundstation.errors import LinkLostError
-from groundstation.links import crazyflie_log
-from groundstation.links.cflib_calls import CREATE_V2, START_V2
-from groundstation.links.crazyflie_connection import Connection
-from groundstation.links.crazyflie_log import CrazyflieTelemetry
+from groundstation.links import crazyflie as crazyflie_log
+from groundstation.links.crazyflie import CrazyflieTelemetry
+from groundstation.links.crazyflie_connection import CREATE_V2, START_V2, Connection
 from support.crafts import LOG_DATA, NarrowRadio, narrow, served
 
 LOG_CONTROL, LINK_SOURCE = 0x51, 0xF1

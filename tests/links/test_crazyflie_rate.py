@@ -6,7 +6,7 @@ import asyncio
 
 import numpy as np
 
-from groundstation.links.crazyflie_log import CrazyflieTelemetry
+from groundstation.links.crazyflie import CrazyflieTelemetry
 from groundstation.telemetry.samples import SampleBatch
 from support.crafts import narrow, served
 from support.waiting import in_real_time

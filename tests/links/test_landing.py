@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from groundstation.links.landing import GROUND_S, LONGEST_S, SINK_M_S, Landing
+from groundstation.links.command import GROUND_S, LONGEST_S, SINK_M_S, Landing
 
 TICK_S = 0.05
 LAG_S = 0.3

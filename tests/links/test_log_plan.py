@@ -3,7 +3,7 @@
 import pytest
 
 from groundstation.errors import BadInputError, LinkError
-from groundstation.links.log_plan import BLOCK_BYTES, TYPE_BYTES, plan_log
+from groundstation.links.log_rows import BLOCK_BYTES, TYPE_BYTES, plan_log
 
 TODAY = {
     **{f"gyro.{axis}": "float" for axis in "xyz"},

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from firmware_sim.contents import compressed
-from groundstation.links.log_plan import LogPlan
-from groundstation.links.log_rows import LogRows, decompressed
+from groundstation.links.log_rows import LogPlan, LogRows, decompressed
 from groundstation.telemetry.samples import SampleBatch
 
 MS_NS = 1_000_000

@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 from firmware_sim import persistent
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.errors import LinkError
-from groundstation.links.parameter_storage import (
-    GET_STATE,
-    ParameterStorage,
-    StoredValue,
-    request,
-    state_in,
-)
+from groundstation.links.command import GET_STATE, ParameterStorage, StoredValue, request, state_in
 
 GAIN, STOCK = "pid_rate.roll_kp", 250.0
 LISTED = ((GAIN, persistent.PARAM_FLOAT | persistent.EXTENDED),)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from groundstation.links.supervisor import (
+from groundstation.links.command import (
     HEIGHT,
     HEIGHT_VARIANCE,
     INFO,

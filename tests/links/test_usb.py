@@ -12,9 +12,7 @@ from hypothesis import strategies as st
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.base import LinkState
 from groundstation.links.factory import make_link
-from groundstation.links.usb import UsbLink
-from groundstation.links.usb_device import parse_ids
-from groundstation.links.usb_ring import FRAMES, Block, require_private_names
+from groundstation.links.usb import FRAMES, Block, UsbLink, parse_ids, require_private_names
 from groundstation.telemetry.packet import FRAME_NS
 from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
 from support.waiting import eventually

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.links.usb_frames import SETTLE_BLOCKS, FrameClock
+from groundstation.links.usb import SETTLE_BLOCKS, FrameClock
 from groundstation.telemetry.packet import FRAME_NS
 
 FRAMES = 8

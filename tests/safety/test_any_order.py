@@ -18,8 +18,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_stat
 
 from firmware_sim.persistent import CLEAR, STORE
 from groundstation.errors import GroundStationError
-from groundstation.links.command import LIFE_S
-from groundstation.links.landing import LONGEST_S
+from groundstation.links.command import LIFE_S, LONGEST_S
 from groundstation.service.commander import WATCH_S
 from groundstation.service.freshness import STOOD_S
 from groundstation.service.lander import LANDED

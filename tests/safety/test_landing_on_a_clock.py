@@ -6,8 +6,7 @@ import asyncio
 import pytest
 
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
-from groundstation.links.command import CommandState
-from groundstation.links.landing import LONGEST_S
+from groundstation.links.command import LONGEST_S, CommandState
 from groundstation.service.commander import WATCH_S
 from groundstation.service.lander import GRACE_S, LANDED, SILENT_S
 from groundstation.service.motor_stop import NOT_TOLD, SEEN_S, STOPPED

@@ -11,9 +11,8 @@ import pytest
 
 from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
-from groundstation.links.command import CommandState
+from groundstation.links.command import DISARMED_ITSELF, CommandState, Supervisor
 from groundstation.links.crazyflie import STATE_S
-from groundstation.links.supervisor import DISARMED_ITSELF, Supervisor
 from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service import overview
@@ -161,7 +160,7 @@ def test_the_same_connection_carries_commands(craft, tmp_path):
 def test_a_silent_craft_is_connected_to_again_and_the_recording_goes_on(
     craft, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("groundstation.links.crazyflie_log.SILENT_S", 0.6)
+    monkeypatch.setattr("groundstation.links.crazyflie.SILENT_S", 0.6)
     station = station_for(craft, tmp_path)
     server = craft.server
     send = server._send
@@ -213,7 +212,7 @@ def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, 
 
 
 def test_nothing_is_claimed_of_arming_that_the_craft_does_not_say(tmp_path, monkeypatch):
-    monkeypatch.setattr("groundstation.links.crazyflie_log.SILENT_S", 0.6)
+    monkeypatch.setattr("groundstation.links.crazyflie.SILENT_S", 0.6)
     with served(craft="brushless", plant="reduced", protocol=12) as craft:
         station = station_for(craft, tmp_path)
         link = station.commander.link
@@ -262,7 +261,7 @@ def test_firmware_in_software_that_repeats_a_request_to_arm_is_not_called_armed(
 def test_parameters_of_a_craft_that_is_away_are_refused_as_such_and_not_as_unknown(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("groundstation.links.crazyflie_log.SILENT_S", 0.6)
+    monkeypatch.setattr("groundstation.links.crazyflie.SILENT_S", 0.6)
     with served(craft="crazyflie21", plant="reduced") as craft:
         station = station_for(craft, tmp_path)
         link = station.commander.link

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.service.journal import EVENTS_KEPT, Journal
 
 

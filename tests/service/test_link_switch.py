@@ -10,7 +10,7 @@ import pytest
 
 from groundstation.errors import BadInputError, GroundStationError, LinkError, TakenError
 from groundstation.links import serial as serial_module
-from groundstation.links.names import LINKS
+from groundstation.links.factory import LINKS
 from groundstation.recording.formats import open_recording
 from groundstation.recording.mcap_scan import McapScan
 from groundstation.recording.mcap_schemas import (

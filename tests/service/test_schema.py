@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.recording.mcap_scan import CatalogueEntry
 from groundstation.service.answers import HealthStatus, Status
 from groundstation.service.client import Client

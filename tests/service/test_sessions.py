@@ -4,7 +4,7 @@ import threading
 import pytest
 
 from groundstation.errors import BadInputError
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.recording.formats import open_recording
 from groundstation.service.sessions import Sessions
 from groundstation.telemetry.decoder import Decoder, LinkMeter

@@ -11,7 +11,7 @@ import pytest
 
 from groundstation.errors import BadInputError, LinkEndedError, LinkError
 from groundstation.links.base import LinkState
-from groundstation.links.clock import steady_clock
+from groundstation.links.command import steady_clock
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.samples import COLUMNS, RawBatch, SampleBatch, empty_samples
 from support.waiting import PATIENCE_S

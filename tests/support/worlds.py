@@ -22,11 +22,15 @@ from firmware_sim.settings import StandInSettings
 from groundstation.background import left_behind
 from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
-from groundstation.links.command import LIFE_S, CommandLink, CommandState
-from groundstation.links.crazyflie import STATE_S
-from groundstation.links.outbox import Outbox
-from groundstation.links.parameter_storage import ParameterStorage
-from groundstation.links.supervisor import Place, Supervisor
+from groundstation.links.command import (
+    LIFE_S,
+    CommandLink,
+    CommandState,
+    ParameterStorage,
+    Place,
+    Supervisor,
+)
+from groundstation.links.crazyflie import STATE_S, Outbox
 from groundstation.service.changes import Changes
 from groundstation.service.commander import WATCH_S, Commander
 from groundstation.service.config import FailsafeConfig

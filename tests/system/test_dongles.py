@@ -14,7 +14,7 @@ import pytest
 
 from groundstation.cli.devices import craft_in_reach
 from groundstation.errors import GroundStationError, TakenError
-from groundstation.links.craft_address import LOOKED_THROUGH, ways_of
+from groundstation.links.command import LOOKED_THROUGH, ways_of
 from groundstation.service.client import ask
 from groundstation.service.dongles import Dongles
 from support.daemons import Daemon
@@ -27,7 +27,7 @@ FIRST, BESIDE = f"radio://{DONGLE}/80/2M/E7E7E7E7E7", f"radio://{DONGLE}/90/1M"
 OTHER = f"radio://{BEYOND}/80/2M"
 HOLDS = """
 import sys
-from groundstation.links.craft_address import ways_of
+from groundstation.links.command import ways_of
 from groundstation.service.dongles import Dongles
 dongles = Dongles()
 dongles.take(ways_of(sys.argv[1:]))

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
-from groundstation.links.event import LinkEvent
+from groundstation.links.command import LinkEvent
 from groundstation.rerun_log.channels import GROUPS, scaled
 from groundstation.rerun_log.installed import rerun_program
 from groundstation.telemetry.decoder import Decoder, LinkMeter

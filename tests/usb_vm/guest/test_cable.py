@@ -10,8 +10,7 @@ from emulated_bridge import EmulatedBridge, open_when_there, read_until_lost
 
 from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
-from groundstation.links.usb import UsbLink
-from groundstation.links.usb_device import DEFAULT_DEVICE, BridgeDevice
+from groundstation.links.usb import DEFAULT_DEVICE, BridgeDevice, UsbLink
 from support.links import joined, listen, read_span
 
 REPLUG_STREAMS_S = 2.0

@@ -115,7 +115,7 @@ def test_no_frame_of_five_thousand_is_lost_while_recording(bridge, flight, tmp_p
 
 def test_device_read_for_comparison_loses_frames(bridge):
     """What pyusb's own read costs on the same bus: the reason for the ring."""
-    from groundstation.links.usb_device import DEFAULT_DEVICE, BridgeDevice
+    from groundstation.links.usb import DEFAULT_DEVICE, BridgeDevice
 
     async def found():
         wanted = BridgeDevice(DEFAULT_DEVICE, "")

@@ -8,8 +8,7 @@ import pytest
 from emulated_bridge import EmulatedBridge, RecordedFlight, open_when_there
 
 from groundstation.errors import LinkLostError
-from groundstation.links.usb import UsbLink
-from groundstation.links.usb_ring import FRAMES
+from groundstation.links.usb import FRAMES, UsbLink
 from support.links import joined
 from support.usb_device import Fault, FaultKind
 
