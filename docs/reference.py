@@ -92,8 +92,7 @@ def effects() -> str:
 
 def control_api() -> str:
     """Every request of the control API with its body."""
-    from groundstation.service.api import operations
-    from groundstation.service.openapi import openapi
+    from groundstation.service.control import openapi, operations
     from groundstation.service.station import Station
 
     async def document() -> dict[str, Any]:

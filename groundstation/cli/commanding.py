@@ -13,7 +13,7 @@ from groundstation import BadInputError, GroundStationError, Pilot
 from groundstation.cli.terminal import require_yes, say
 from groundstation.links.command import NOT_ARMED
 from groundstation.service.client import ask
-from groundstation.service.motor_stop import BY_OPERATOR, LANDED_BY_OPERATOR
+from groundstation.service.lease import BY_OPERATOR, LANDED_BY_OPERATOR
 
 LEAST_REST_V = 3.5
 """Battery at rest below which nothing begins."""

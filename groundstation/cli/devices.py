@@ -57,7 +57,7 @@ def craft_in_reach(usb: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str
     Keys as ``usb_devices``."""
     from groundstation.cli.usb_devices import CRAZYFLIE
     from groundstation.links.command import LOOKED_THROUGH, in_reach, ways_of
-    from groundstation.service.dongles import Dongles
+    from groundstation.service.craft_links import Dongles
 
     if not any(row["name"] in CRAZYFLIE for row in usb):
         return [], ""

@@ -21,8 +21,7 @@ def service(
 
     Example: [bold]groundstation install service --print[/bold]
     """
-    from groundstation.service.config import ConfigSource
-    from groundstation.service.systemd import unit
+    from groundstation.service.config import ConfigSource, unit
 
     if config is not None:
         ConfigSource(config).load()  # a wrong file is told now, not at the next boot

@@ -30,7 +30,7 @@ from groundstation.cli.terminal import say
 from groundstation.control.programme import BY_HAND
 from groundstation.learn.journal import Craft, Flown
 from groundstation.paths import written_whole
-from groundstation.service.motor_stop import BY_OPERATOR, LANDED_BY_OPERATOR
+from groundstation.service.lease import BY_OPERATOR, LANDED_BY_OPERATOR
 
 if TYPE_CHECKING:
     from groundstation.links.software_craft import SoftwareCraft

@@ -10,8 +10,7 @@ from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import require_yes, show, show_json
 from groundstation.links.command import is_software
 from groundstation.service.client import ask
-from groundstation.service.lander import LANDED
-from groundstation.service.motor_stop import STOPPED
+from groundstation.service.lease import LANDED, STOPPED
 
 motors = Commands(
     help=(

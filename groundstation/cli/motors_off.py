@@ -11,7 +11,7 @@ from groundstation import GroundStationError, Pilot
 from groundstation.cli.commanding import why_aborted
 from groundstation.cli.interrupts import Interrupts
 from groundstation.cli.terminal import say
-from groundstation.service.motor_stop import STILL_TURN, STOPPED
+from groundstation.service.lease import STILL_TURN, STOPPED
 
 if TYPE_CHECKING:
     from groundstation.links.software_craft import SoftwareCraft

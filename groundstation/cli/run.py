@@ -100,10 +100,9 @@ def run(
 async def _serve(config: Config, duration_s: float | None) -> None:
     from groundstation import socket_path
     from groundstation.allocator import limit_arenas
+    from groundstation.service.config import ControlSocket, notify, pat_watchdog
     from groundstation.service.control import ControlServer
-    from groundstation.service.control_socket import ControlSocket
     from groundstation.service.station import Station
-    from groundstation.service.systemd import notify, pat_watchdog
 
     limit_arenas()
     live = sys.stdout.isatty()

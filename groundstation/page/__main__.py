@@ -15,7 +15,7 @@ from pathlib import Path
 from groundstation.page.access import Access
 from groundstation.page.app import page_app
 from groundstation.page.follower import Follower
-from groundstation.service.connections import http_server
+from groundstation.service.client import http_server
 
 BEAT_S = 0.5
 CONNECTIONS_MOST = 200

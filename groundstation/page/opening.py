@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service.commands import own_program, run_command, run_program
+from groundstation.service.jobs import own_program, run_command, run_program
 from groundstation.text import printable
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "recordings"

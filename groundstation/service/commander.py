@@ -15,36 +15,263 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+from groundstation.background import in_background
 from groundstation.errors import (
     BadInputError,
     GroundStationError,
+    LinkError,
     NotAuthorisedError,
     TakenError,
 )
 from groundstation.links.base import LinkState
 from groundstation.links.command import LIFE_S, LONGEST_S, CommandLink, CommandState, Supervisor
-from groundstation.service.arming import Asking
-from groundstation.service.changes import Changes
-from groundstation.service.command_connection import CommandConnection
-from groundstation.service.config import FailsafeConfig
-from groundstation.service.failsafe import watch
-from groundstation.service.flight_end import FlightEnd
-from groundstation.service.lander import outcome_of
-from groundstation.service.lease import FAILSAFE, Lease, Leases, granted
-from groundstation.service.limits import RateLimit
-from groundstation.service.motor_stop import (
+from groundstation.service.config import FailsafeConfig, RateLimit
+from groundstation.service.lease import (
+    BY_OPERATOR,
+    FAILSAFE,
+    LANDED_BY_OPERATOR,
     SEEN_S,
     STOPPED,
+    Asking,
+    FlightEnd,
+    Lease,
+    Leases,
     Motors,
     Note,
+    Stop,
+    ask_to_arm,
+    ask_to_recover,
+    granted,
     outcome,
+    outcome_of,
     send_level,
 )
-from groundstation.service.operator import Operator
-from groundstation.service.parameters import Parameters, craft_of
-from groundstation.service.readiness import Readiness
+from groundstation.service.parameters import (
+    Changes,
+    CommandConnection,
+    Parameters,
+    StoredParameters,
+    craft_of,
+)
 from groundstation.service.requests import Lease as Granted
-from groundstation.service.stored import StoredParameters
+
+# How old a request that turns motors is: one that was made too long ago is not followed.
+
+
+STOOD_S = 0.3
+"""A loop that did not turn for so long stood still."""
+WAKES_S = 0.5
+"""So long after that requests come in that were made before."""
+
+
+class Freshness:
+    """Of what is heard by a loop that says when it turns: what waits in sockets while a process
+    stands still has no age but the one that it brings along."""
+
+    def __init__(self) -> None:
+        self._turned_s: float | None = None
+        self._until_s = 0.0
+
+    def turn(self, now_s: float) -> None:
+        """The loop that hears requests has turned."""
+        if self._stands(now_s):
+            self._until_s = now_s + WAKES_S
+        self._turned_s = now_s
+
+    def require(self, refused: str, now_s: float, made_s: float | None = None) -> None:
+        """Raises LinkError for a request that is, or may be, too old.
+
+        refused: what then was not done. made_s: when it was made, where it says so, by the clock
+        that ``now_s`` is of."""
+        if made_s is None:
+            if self._stands(now_s) or now_s < self._until_s:
+                raise LinkError(f"the daemon stood still, and nobody knows since when: {refused}")
+        elif now_s > made_s + LIFE_S:
+            raise LinkError(f"the setpoint was made {now_s - made_s:.1f} s ago: too old to be sent")
+
+    def _stands(self, now_s: float) -> bool:
+        return self._turned_s is not None and now_s - self._turned_s > STOOD_S
+
+
+# The failsafe's clock: it does not depend on the load of the loop that it watches.
+
+
+TURN_S = STOOD_S / 3
+"""Between two turns that are counted."""
+
+
+async def watch(
+    look: Callable[[float], None],
+    turn: Callable[[float], None],
+    clock: Callable[[], float],
+    every_s: Callable[[], float],
+) -> None:
+    """Call ``look`` from a thread of its own, so often as ``every_s`` says each time, and ``turn``
+    from this loop, each with the time. Raises what ``look`` does."""
+    ended = threading.Event()
+
+    def keep_looking() -> None:
+        while not ended.wait(every_s()):
+            look(clock())
+
+    looking = asyncio.ensure_future(in_background(keep_looking))
+    try:
+        while not looking.done():
+            turn(clock())
+            await asyncio.sleep(TURN_S)
+        await looking
+    finally:
+        ended.set()
+        looking.cancel()
+
+
+# Whether there is a craft that can be commanded, and whether its motors may be asked to turn.
+
+
+class Readiness:
+    """telemetry: state of the telemetry link; why no craft can be commanded with it, or empty.
+    contradiction: why what a craft says it is contradicts the configuration, or empty. clock:
+    monotonic, s. closing: the daemon ends."""
+
+    def __init__(
+        self,
+        telemetry: Callable[[], tuple[LinkState, str]],
+        contradiction: Callable[[str], str],
+        end: FlightEnd,
+        clock: Callable[[], float],
+    ) -> None:
+        self._telemetry, self._contradiction = telemetry, contradiction
+        self._end, self._clock = end, clock
+        self._freshness = Freshness()
+        self.closing = False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is a craft behind the telemetry that should be connected."""
+        # a stand-in answers only once its link is open
+        state, reason = self._telemetry()
+        return state is LinkState.STREAMING and not reason and not self.closing
+
+    def turn(self, now_s: float) -> None:
+        """The loop that hears requests has turned."""
+        self._freshness.turn(now_s)
+
+    def require_craft(self, what: str) -> None:
+        """Raises BadInputError where the craft that is heard is none that can be commanded, or
+        will not be for long."""
+        reason = "the daemon ends" if self.closing else self._telemetry()[1]
+        if reason:
+            raise BadInputError(f"no craft can {what}: {reason}")
+
+    def require_vehicle(self, link: CommandLink) -> None:
+        """Raises BadInputError where the craft says that it is another than is configured."""
+        if reason := self._contradiction(link.vehicle):
+            raise BadInputError(reason)
+
+    def require_calm(self, refused: str, made_s: float | None = None) -> None:
+        """Raises TakenError while a flight is being ended, LinkError for what is, or may be, too
+        old. refused: what then was not done. made_s: when it was asked for, if that was told."""
+        self._end.require_none(refused)
+        self._freshness.require(refused, self._clock(), made_s)
+
+
+# What an operator may do to the craft, whoever commands it.
+
+
+OPERATOR = "operator"
+
+
+class Operator:
+    """stops: counts every Stop and every Land, and is no number of an earlier daemon: a program
+    that began before the last of them does not command again. What does not wait is safe to call
+    from any thread."""
+
+    def __init__(
+        self,
+        lock: threading.RLock,
+        connection: CommandConnection,
+        leases: Leases,
+        end: FlightEnd,
+        asking: Asking,
+        ready: Readiness,
+        note: Note,
+    ) -> None:
+        self.stops = time.time_ns() // 1_000_000
+        self._lock, self._connection, self._leases = lock, connection, leases
+        self._end, self._asking, self._ready, self._note = end, asking, ready, note
+
+    async def stop(self) -> str:
+        """Stop the motors, whoever commands, and end that lease: the operator's way out. What the
+        craft then says of them, in words: ``STOPPED`` where they stand. It ends a landing, too.
+
+        Motors that do not stop are asked again, disarmed and stopped by the firmware, as after any
+        stop."""
+        with self._lock:
+            self.stops += 1
+            self._asking.end()  # whatever became of the connection
+            link = self._connection.require_connected("the stop was not sent")
+            stop = self._end.stop(link, self._leases.present, OPERATOR)
+            text = f"the operator stops the motors; {self._former_client()}"
+            self._leases.end(text, kind="stop", why=BY_OPERATOR)
+        return await outcome(stop)
+
+    async def land(self) -> str:
+        """Land the craft, whoever commands, and end that lease. ``LANDED``, or what the craft then
+        says of its motors, also where nobody flew it: they are stopped then.
+
+        Raises BadInputError for a craft that holds no height, or leans too far, or does not say
+        where it is; TakenError while its motors are being stopped."""
+        with self._lock:
+            link = self._connection.require_connected("the craft was not landed")
+            ended = self._end.land(link, self._leases.present, OPERATOR)
+            self.stops += 1
+            text = f"the operator lands the craft; {self._former_client()}"
+            self._leases.end(text, kind="stop", why=LANDED_BY_OPERATOR)
+        return await (outcome(ended) if isinstance(ended, Stop) else outcome_of(ended))
+
+    def level(self, on: bool) -> None:
+        """Whether attitude and yaw rate of every setpoint are replaced by zero, the client's thrust
+        or height kept; until it is switched off or the lease is over. Raises BadInputError where
+        nobody commands."""
+        lease = self._leases.present
+        if lease is None:
+            raise BadInputError("nobody commands: there is nothing to hold level")
+        if on is not lease.held_level:
+            lease.held_level = on
+            what = "holds the craft level" if on else "gives the attitude back"
+            self._note("level", f"the operator {what}; {lease.client} commands")
+
+    async def arm(self, on: bool) -> None:
+        """Arm the motors or disarm them, whoever commands, and wait for the craft's answer.
+
+        Raises BadInputError for a firmware that knows no arming, LinkError where it refuses or
+        does not answer, TakenError where a stop or another such request came in between."""
+        self._connection.require()
+        if on:
+            self._ready.require_craft("be armed")
+            self._ready.require_calm("the motors were not armed")
+            self._end.begun()
+        await ask_to_arm(self._connection.require_connected(), on, self._asking.begin())
+        kind, does = ("armed", "arms") if on else ("disarmed", "disarms")
+        self._note(kind, f"the operator {does} the motors")
+
+    async def recover(self) -> None:
+        """Let a craft that calls itself crashed be ready again, and wait until it says so.
+
+        Raises BadInputError for one that has not crashed, TakenError while a client asks for
+        thrust, LinkError where it does not recover."""
+        lease = self._leases.present
+        if lease is not None and lease.flies:
+            raise TakenError(f"{lease.client} asks for thrust: motors might turn at once")
+        self._ready.require_craft("recover")
+        self._ready.require_calm("the craft was not asked to recover")
+        await ask_to_recover(self._connection.require_connected(), self._asking.begin())
+        self._note("recovered", "the operator has had the craft recover from its crash")
+
+    def _former_client(self) -> str:
+        client = self._leases.client
+        return "nobody commanded" if client is None else f"{client} commands no more"
+
 
 SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
 """100 Hz; a client that was held up for a second may catch up, for the newest replaces the rest."""

@@ -1,11 +1,17 @@
-"""The daemon's configuration: one TOML file, typed; environment and command line override it."""
+"""The daemon's configuration, its control socket, and what it tells systemd."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import fcntl
 import os
+import socket
+import stat
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -14,9 +20,12 @@ import msgspec
 
 from groundstation.documents import decode_toml, explained, read_document
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, GroundStationError, TakenError
 from groundstation.links.factory import KINDS, STAND_IN
 from groundstation.text import printable
+
+# The daemon's configuration: one TOML file, typed; environment and command line override it.
+
 
 MEBIBYTE = 1 << 20
 DEFAULT_VEHICLE = "crazyflie1"
@@ -338,3 +347,185 @@ def _is_about(error: Exception, name: str) -> bool:
 
 def _variable(name: str) -> str:
     return name.replace(".", "_").upper()
+
+
+# The control API's listening socket: a Unix socket of its owner's.
+
+
+BACKLOG = 16
+PATH_MOST = 107
+"""Bytes a Unix socket's address can hold."""
+
+
+class ControlSocket:
+    """The listening socket, held by a lock so that one daemon at a time has it."""
+
+    def __init__(self, path: Path) -> None:
+        if len(os.fsencode(path)) > PATH_MOST:
+            raise GroundStationError(
+                f"control socket {path}: longer than {PATH_MOST} bytes; set a shorter one with "
+                "[control] socket or GROUNDSTATION_SOCKET"
+            )
+        self.path = path
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if path.parent == shared_folder():
+                _require_private(path.parent)
+            self._lock = _open_lock(path.with_suffix(".lock"))
+        except OSError as error:
+            raise GroundStationError(f"control socket {path}: {error.strerror}") from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            owner = os.read(self._lock, 32).decode(errors="replace").strip()
+            os.close(self._lock)
+            raise TakenError(
+                f"control socket {path} is taken by another groundstation (process {owner}); stop "
+                "it, or give this one its own with GROUNDSTATION_SOCKET or [control] socket"
+            ) from error
+        os.ftruncate(self._lock, 0)
+        os.pwrite(self._lock, str(os.getpid()).encode(), 0)
+        if path.exists() and not path.is_socket():
+            os.close(self._lock)
+            raise GroundStationError(f"control socket {path}: is not a socket; choose another path")
+        path.unlink(missing_ok=True)  # left by a daemon that was killed: nobody holds the lock
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        before = os.umask(0o177)
+        try:
+            self.socket.bind(str(path))
+        finally:
+            os.umask(before)
+        self.socket.listen(BACKLOG)
+        self.socket.setblocking(False)
+
+    def close(self) -> None:
+        """Remove the socket and release the lock."""
+        self.socket.close()
+        self.path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+
+def _open_lock(path: Path) -> int:
+    """The lock file, made where there is none; nobody else's file, and none of another purpose."""
+    lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600)
+    found = os.fstat(lock)
+    content = os.pread(lock, 32, 0).strip() if stat.S_ISREG(found.st_mode) else b"?"
+    if found.st_uid != os.getuid() or (content and not content.isdigit()):
+        os.close(lock)
+        raise GroundStationError(f"{path}: is no lock file of yours; choose another control socket")
+    return lock
+
+
+def _require_private(folder: Path) -> None:
+    """In a folder where anyone can write, someone else may have been there first."""
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise GroundStationError(
+            f"control socket: {folder} is not a folder of yours alone (owner {found.st_uid}, mode "
+            f"{stat.S_IMODE(found.st_mode):04o}); remove it, or set GROUNDSTATION_SOCKET"
+        )
+
+
+# How often something may happen.
+
+
+class RateLimit:
+    """A bucket of ``burst`` permissions that refills at ``rate_hz``."""
+
+    def __init__(
+        self, rate_hz: float, burst: float, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._rate_hz, self._burst, self._clock = rate_hz, burst, clock
+        self._left, self._at_s = burst, clock()
+
+    def allows(self) -> bool:
+        """Take one permission, if there is one."""
+        now_s = self._clock()
+        self._left = min(self._burst, self._left + (now_s - self._at_s) * self._rate_hz)
+        self._at_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+# Telling systemd how the daemon does: ready, alive, stopping. Nothing where there is none.
+
+
+def notify(state: str) -> None:
+    """Send one state (``READY=1``) to the service manager, if one has started this."""
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address:
+        return
+    if address.startswith("@"):
+        address = "\0" + address[1:]
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.setblocking(False)  # a manager that is busy must not hold up the telemetry
+        manager.connect(address)
+        manager.send(state.encode())
+
+
+async def pat_watchdog() -> None:
+    """Say that the event loop runs, twice as often as the watchdog wants; for ever."""
+    period_s = int(os.environ.get("WATCHDOG_USEC", "0")) * 1e-6 / 2
+    while period_s > 0:
+        notify("WATCHDOG=1")
+        await asyncio.sleep(period_s)
+
+
+def unit(program: str, configuration: str | None) -> str:
+    """A systemd unit that runs the daemon as a user of its own, with little else in reach."""
+    option = f" --config {configuration}" if configuration else ""
+    return f"""\
+[Unit]
+Description=Ground station for the Crazyflie
+After=local-fs.target
+
+[Service]
+Type=notify
+ExecStart={program} run{option}
+Restart=on-failure
+RestartSec=2
+WatchdogSec=20
+TimeoutStopSec=40
+User=groundstation
+Group=groundstation
+SupplementaryGroups=plugdev dialout
+RuntimeDirectory=groundstation
+RuntimeDirectoryMode=0700
+StateDirectory=groundstation
+StateDirectoryMode=0750
+CacheDirectory=groundstation
+WorkingDirectory=%S/groundstation
+Environment=GROUNDSTATION_SOCKET=%t/groundstation/control.sock
+Environment=GROUNDSTATION_LOG_FORMAT=json
+Environment=XDG_CACHE_HOME=%C/groundstation
+Environment=NUMBA_CACHE_DIR=%C/groundstation
+UMask=0077
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+ProtectSystem=strict
+ProtectHome=yes
+PrivateTmp=yes
+ProtectKernelTunables=yes
+ProtectKernelModules=yes
+ProtectKernelLogs=yes
+ProtectControlGroups=yes
+ProtectClock=yes
+ProtectHostname=yes
+ProtectProc=invisible
+RestrictNamespaces=yes
+RestrictRealtime=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+RestrictAddressFamilies=AF_UNIX AF_INET AF_NETLINK
+IPAddressDeny=any
+IPAddressAllow=localhost
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+
+[Install]
+WantedBy=multi-user.target
+"""

@@ -1,20 +1,40 @@
 """Which craft is heard and which is commanded: the telemetry link, the command link, and whether
-both lead to the same one."""
+both lead to the same one.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
-from functools import cache
-from typing import Any
+import errno
+import heapq
+import itertools
+import os
+import socket
+import struct
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import cache, partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Protocol
 
 import msgspec
 
 from groundstation.background import in_background
+from groundstation.compiling import announced
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.errors import BadInputError, TakenError
-from groundstation.links.base import Link
-from groundstation.links.command import CommandLink, HostClock, ways_of
+from groundstation.errors import (
+    BadInputError,
+    GroundStationError,
+    LinkEndedError,
+    LinkError,
+    LinkLostError,
+    TakenError,
+)
+from groundstation.links.base import Link, LinkState
+from groundstation.links.command import CommandLink, HostClock, LinkEvent, ways_of
 from groundstation.links.factory import (
     CRAFT,
     is_stand_in,
@@ -24,10 +44,484 @@ from groundstation.links.factory import (
 )
 from groundstation.service.commander import Commander
 from groundstation.service.config import DEFAULT_VEHICLE, Config, link_speed
-from groundstation.service.dongles import Dongles
-from groundstation.service.journal import Journal
-from groundstation.service.receiver import Receiver
-from groundstation.telemetry.samples import LogTable
+from groundstation.service.twin import BEGAN
+from groundstation.telemetry.decoder import (
+    Decoded,
+    Decoder,
+    DecoderCounts,
+    LinkMeter,
+    LinkStatistics,
+    compile_kernel,
+)
+from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
+from groundstation.text import printable
+
+# The telemetry link of the moment: opened, read, decoded, opened again, replaced by another.
+
+
+RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
+BUSY_S = 0.005
+OPEN_MOST_S = 30.0
+"""For a link that is to take over: a client is told within its own patience (45 s)."""
+
+_ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
+
+
+class Telling(Protocol):
+    """How the receiver reports: kind or fault, text, source."""
+
+    def note(self, kind: str, text: str, *, source: str) -> None: ...
+
+    def fault(self, text: str, *, source: str) -> None: ...
+
+
+class Receiver:
+    """Turns what a link delivers into packets and samples for whoever wants them.
+
+    telling: told of what happens. on_raw, on_samples: given every batch. on_switch: called
+    between the last of one link and the first of the next. fast: whether more can come than any
+    craft sends; such a source waits while ``busy``.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        telling: Telling,
+        *,
+        on_raw: Callable[[RawBatch], None],
+        on_samples: Callable[[SampleBatch], None],
+        on_switch: Callable[[], None],
+        fast: bool,
+        busy: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.link = link
+        self.decoder = Decoder()
+        self.tried = asyncio.Event()
+        """Set when the link has been opened, or has turned out not to be there yet."""
+        self._telling = telling
+        self._on_raw, self._on_samples, self._on_switch = on_raw, on_samples, on_switch
+        self._fast = self._compiled = fast
+        self._busy = busy
+        self._meter = LinkMeter(link.clock())
+        self._newest_ns = 0  # the latest host stamp
+        self._ready_made = 0  # samples of a source that needs no decoder
+        self._earlier: Counter[str] = Counter()  # of links that were switched away from
+        self._segment, self._segment_base = -1, 0
+        self._retry_s = RETRY_FIRST_S
+        self._away: LinkState | None = None  # of a device that is waited for: lost, or never there
+        self._missing = ""  # why it cannot be opened now
+        self._opened = False  # the present link, once at least
+        self._reading: asyncio.Task[None] | None = None
+        self._incoming: Link | None = None
+        self._swapped = asyncio.Event()
+        self._closing: set[asyncio.Task[None]] = set()
+
+    @property
+    def state(self) -> LinkState:
+        """Of the link: lost until a lost device is back."""
+        return self._away or self.link.state
+
+    def is_repetition(self, source: str, kind: str) -> bool:
+        """Whether an event is another attempt to open a device that is known to be away."""
+        return bool(self._missing) and source == self.link.name and kind in _ATTEMPT
+
+    def now_ns(self) -> int:
+        """The present on the time base of the packets: a fast replay's stamps run ahead of any
+        clock."""
+        return max(self.link.now_ns(), self._newest_ns)
+
+    async def run(
+        self, *, opened: Callable[[], Awaitable[None]], ended: Callable[[], Awaitable[None]]
+    ) -> None:
+        """Receive until a finite link has ended, or fails.
+
+        opened: awaited once, when the first link is open. ended: awaited at the end of a finite
+        link; until it returns another link can take over.
+
+        Raises BadInputError when the link can never be opened, LinkError when a finite one
+        failed in the middle.
+        """
+        if self._fast:
+            await self._compile()
+        while True:
+            self._reading = asyncio.create_task(self._follow(opened, ended), name="link")
+            try:
+                return await self._reading
+            except asyncio.CancelledError:
+                task = asyncio.current_task()
+                if self._incoming is None or (task is not None and task.cancelling()):
+                    raise
+                self._swap(self._incoming)
+
+    async def switch(self, link: Link, leave: Callable[[], Awaitable[None]] | None = None) -> None:
+        """Go on with another link, from which nothing is lost and nothing attributed to the one
+        before. Where it cannot be opened the present one stays, and LinkError or BadInputError
+        says why. leave: awaited when the other one is open, before the present one is left; what
+        it raises keeps that."""
+        self.require_other(link)
+        if self._reading is None or self._incoming is not None:
+            raise BadInputError("the link is being opened or switched; try again")
+        self._incoming = link
+        self._swapped.clear()
+        try:
+            await _open_in_time(link)
+            if self._reading.done():
+                raise BadInputError(f"{self.link.name} has ended, and the daemon with it")
+            if leave is not None:
+                await leave()
+        except BaseException:
+            self._incoming = None
+            with contextlib.suppress(Exception):
+                await link.close()
+            raise
+        self._reading.cancel()
+        await self._swapped.wait()
+
+    def require_other(self, link: Link) -> None:
+        """Raise BadInputError for a link that is the present one."""
+        if link.name == self.link.name and not link.finite:
+            raise BadInputError(f"{link.name} is the link already")
+
+    async def close(self) -> None:
+        """Close the link and give out what is held."""
+        try:
+            await self.link.close()
+            await asyncio.gather(*self._closing)
+        finally:
+            self.drain()
+
+    def drain(self) -> None:
+        """Nothing more will come: give out what is held."""
+        self._take(self.decoder.finish())
+
+    def settle(self) -> None:
+        """Give out what only waits for its turn."""
+        self._take(self.decoder.idle(self.now_ns()))
+
+    def close_window(self, before: LinkStatistics | None) -> LinkStatistics:
+        """Statistics since the last call; a restart of the device among them is told."""
+        statistics = self._meter.close_window(self.now_ns(), self._counts())
+        if statistics.restarts > (before.restarts if before else 0):
+            self._telling.note(
+                "restart", "the device restarted: a new segment", source=self.link.name
+            )
+        return statistics
+
+    def totals(self) -> Counter[str]:
+        """Packets, samples and lost ones (``DecoderCounts``) of every link since the start."""
+        return self._earlier + self._received()
+
+    def _received(self) -> Counter[str]:
+        counts = self._counts()
+        return Counter(packets=counts.packets, samples=counts.samples, lost=counts.lost)
+
+    def _counts(self) -> DecoderCounts:
+        counts = self.link.sample_counts() or self.decoder.counts()
+        return replace(counts, samples=counts.samples + self._ready_made)
+
+    async def _follow(
+        self, opened: Callable[[], Awaitable[None]], ended: Callable[[], Awaitable[None]]
+    ) -> None:
+        """Open, read, and open again: after a loss, a fault, or when it is not there yet."""
+        while True:
+            try:
+                if self.link.state is LinkState.CLOSED:
+                    await self._open(opened)
+                await self._read()
+            except LinkEndedError:
+                return await ended()
+            except LinkLostError:
+                self._lose()
+            except GroundStationError as error:
+                if not isinstance(error, LinkError) and not self._opened:
+                    raise  # what never worked never will; what did may have been caught in leaving
+                if self.link.state is not LinkState.CLOSED:
+                    self._lose()  # it was open: reading failed
+                self._away = self._away or LinkState.OPENING
+                if str(error) != self._missing:
+                    self._missing = str(error)
+                    self._telling.note("waiting", self._missing, source=self.link.name)
+            except Exception as error:
+                self._telling.fault(f"receiving failed: {error!r}", source=self.link.name)
+                if self.link.finite:  # opened again it would begin anew
+                    raise LinkError(
+                        f"{self.link.name}: reading failed in the middle ({error!r}); what came "
+                        "before was delivered"
+                    ) from error
+                self._lose()
+            try:
+                await self.link.close()
+            except Exception as error:
+                self._telling.fault(f"closing failed: {error!r}", source=self.link.name)
+            await asyncio.sleep(self._retry_s)
+            self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
+
+    async def _open(self, opened: Callable[[], Awaitable[None]]) -> None:
+        try:
+            await self.link.open()
+        finally:
+            self.tried.set()
+        if not self._opened:
+            self._begin()
+            # not before: a mistyped link leaves no empty file behind
+            await opened()
+            self._opened = True
+        self._retry_s, self._missing = RETRY_FIRST_S, ""
+
+    def _begin(self) -> None:
+        self.decoder = Decoder(self.link.start_ticks, compiled=self._compiled)
+        self._meter = LinkMeter(self.now_ns())
+
+    def _swap(self, link: Link) -> None:
+        """The incoming link takes over: not a moment passes without one."""
+        before = self.link
+        self.drain()
+        self._earlier += self._received()
+        self.link, self._incoming = link, None
+        self._segment_base = self._segment + 1
+        self._newest_ns = self._ready_made = 0
+        self._away, self._missing, self._retry_s = None, "", RETRY_FIRST_S
+        self._begin()
+        self._on_switch()
+        self._telling.note("link", f"switched from {before.name} to {link.name}", source=link.name)
+        task = asyncio.create_task(self._close(before), name="close link")
+        self._closing.add(task)
+        task.add_done_callback(self._closing.discard)
+        self._swapped.set()
+
+    async def _close(self, link: Link) -> None:
+        try:
+            await link.close()
+        except Exception as error:
+            self._telling.fault(f"closing failed: {error!r}", source=link.name)
+
+    async def _compile(self) -> None:
+        text = "preparing the decoder, first start only: it is compiled once per machine"
+        async with announced(partial(self._telling.note, "preparing", text, source="decoder")):
+            await in_background(compile_kernel)
+
+    def _lose(self) -> None:
+        """What follows is a new segment, after whatever went wrong."""
+        self._away = LinkState.LOST
+        try:
+            self._take(self.decoder.reconnected())
+        except Exception as error:
+            self._telling.fault(f"the decoder starts anew: {error!r}", source="decoder")
+            self.decoder = Decoder()
+            self._segment_base = self._segment + 1
+
+    async def _read(self) -> None:
+        while True:
+            while self._fast and self._busy():
+                await asyncio.sleep(BUSY_S)
+            batch = await self.link.read()
+            self._away = None
+            if batch is None:
+                self._take(self.decoder.idle(self.link.now_ns()))
+                continue
+            if len(batch):
+                self._newest_ns = max(self._newest_ns, int(batch.host_time_ns[-1]))
+            if isinstance(batch, RawBatch):
+                self._on_raw(batch)
+                self._take(self.decoder.decode(batch))
+            else:
+                counted = self.link.sample_counts() is not None
+                self._meter.add_samples(batch, live=counted)
+                self._ready_made += 0 if counted else len(batch)
+                self._give(batch)
+
+    def _take(self, decoded: Decoded) -> None:
+        self._meter.add(decoded)
+        self._give(decoded.samples)
+
+    def _give(self, samples: SampleBatch) -> None:
+        if len(samples) == 0:
+            return
+        if self._segment_base:
+            samples = replace(samples, segment=samples.segment + self._segment_base)
+        self._segment = max(self._segment, int(samples.segment[-1]))
+        self._on_samples(samples)
+
+
+async def _open_in_time(link: Link) -> None:
+    try:
+        async with asyncio.timeout(OPEN_MOST_S) as limit:
+            await link.open()
+    except TimeoutError as error:
+        if not limit.expired():
+            raise
+        raise LinkError(
+            f"{link.name} has not opened within {OPEN_MOST_S:g} s, so the present link stays; "
+            "see whether its device or disk answers"
+        ) from error
+
+
+# One program a dongle: opening one that another program flies with would reset it in flight.
+#
+# A name in the kernel's own space (an abstract socket) holds it: it is one for all users and
+# services of the machine, whatever folders they see, and is free again when its holder has ended,
+# however.
+
+
+ASKERS = 64
+"""Programs that may ask who holds one, as long as it is held: the kernel tells each by a connection
+that nobody accepts."""
+ASK_S = 1.0
+_PEER = struct.Struct("3i")  # ucred: process, user, group
+
+
+class Dongles:
+    """The dongles and cables that this program holds, and for which addresses."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, socket.socket] = {}
+        self._ways: dict[str, frozenset[str]] = {}
+
+    def take(self, ways: Mapping[str, Iterable[str]]) -> None:
+        """Hold also what these addresses lead through. Raises TakenError, and changes nothing,
+        where another program has one. ways: by address, see ``craft_address.ways_of``."""
+        wanted = {way: uri for uri, leads in ways.items() for way in leads}
+        with contextlib.ExitStack() as undone:
+            new = {
+                way: undone.enter_context(_taken(way, uri))
+                for way, uri in wanted.items()
+                if way not in self._held
+            }
+            undone.pop_all()
+        self._held |= new
+        self._ways |= {uri: frozenset(leads) for uri, leads in ways.items()}
+
+    def keep(self, uris: Iterable[str]) -> None:
+        """Let go of all that none of these addresses leads through. It takes nothing: a dongle
+        that has another number by now is held as it was when it was taken."""
+        self._ways = {uri: self._ways[uri] for uri in uris if uri in self._ways}
+        for way in self._held.keys() - {way for leads in self._ways.values() for way in leads}:
+            self._held.pop(way).close()
+
+    def close(self) -> None:
+        """Let go of all. Safe to call twice."""
+        self.keep(())
+
+
+def _taken(way: str, uri: str) -> socket.socket:
+    """The name of a dongle, from now on ours."""
+    address, ours = f"\0groundstation {way}", socket.socket(socket.AF_UNIX)
+    try:
+        ours.bind(address)
+        ours.listen(ASKERS)
+    except OSError as error:
+        ours.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        raise TakenError(
+            f"{uri}: {way} is in use by {_holder(address)}; end it, or take another dongle"
+        ) from error
+    return ours
+
+
+def _holder(address: str) -> str:
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as asking:
+        asking.settimeout(ASK_S)
+        asking.connect(address)
+        told = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+        process, *_ = _PEER.unpack(told)
+        words = ""
+        with contextlib.suppress(OSError):  # of another user, or gone
+            line = Path(f"/proc/{process}/cmdline").read_text(errors="replace")
+            words = " ".join(os.path.basename(word) for word in line.split("\0")[:3]).strip()
+        return f"process {process}" + (f" ({words})" if words else "")
+    return "another program"
+
+
+# What happened: events of links, clients and the daemon itself, kept, logged and handed on.
+
+
+EVENTS_KEPT = 1000
+_WARNINGS = frozenset(
+    {
+        "fault",
+        "lost",
+        "loss",
+        "silent",
+        "waiting",
+        "restart",
+        "damage",
+        "dead man",
+        "stop",
+        "landing",
+        "restore",
+        "deleted",
+        "held up",
+        BEGAN,
+    }
+)
+
+
+class Journal:
+    """The daemon's events.
+
+    clock: stamps events of the daemon itself. is_repetition: whether an event of (source, kind) is
+    no news. listeners: handed every other event; log: as well, with whether it is a warning.
+    """
+
+    def __init__(self, clock: HostClock, is_repetition: Callable[[str, str], bool]) -> None:
+        self._kept = _Kept(EVENTS_KEPT)
+        self.damaged = False
+        """Whether the source had parts that could not be read."""
+        self.faults = 0
+        """Faults of the program itself, each survived and told as an event."""
+        self.listeners: list[Callable[[LinkEvent], None]] = []
+        self._clock = clock
+        self._is_repetition = is_repetition
+        self.log: Callable[[LinkEvent, bool], None] = lambda event, warns: None
+
+    @property
+    def events(self) -> list[LinkEvent]:
+        """The latest, in the order in which they came."""
+        return list(self._kept)
+
+    def note(self, kind: str, text: str, *, source: str) -> None:
+        """An event of the daemon itself."""
+        self.take(LinkEvent(self._clock(), source, kind, text))
+
+    def fault(self, text: str, *, source: str) -> None:
+        """A fault of the program that it survives: counted and told."""
+        self.faults += 1
+        self.note("fault", text, source=source)
+
+    def take(self, event: LinkEvent) -> None:
+        """Keep and log an event, and hand it on."""
+        event = replace(event, link=printable(event.link), text=printable(event.text))
+        if self._is_repetition(event.link, event.kind):
+            return
+        self._kept.append(event)
+        self.damaged |= event.kind == "damage"
+        self.log(event, event.kind in _WARNINGS)
+        for listener in self.listeners:
+            listener(event)
+
+
+class _Kept:
+    """The latest events in order; a flood of one kind pushes out its own.
+
+    most: of all kinds. Beyond it the oldest of the kind that has most is forgotten.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._number = itertools.count()
+        self._by_kind: dict[str, deque[tuple[int, LinkEvent]]] = {}
+
+    def append(self, event: LinkEvent) -> None:
+        self._by_kind.setdefault(event.kind, deque()).append((next(self._number), event))
+        if len(self) > self._most:
+            max(self._by_kind.values(), key=len).popleft()
+
+    def __len__(self) -> int:
+        return sum(map(len, self._by_kind.values()))
+
+    def __iter__(self) -> Iterator[LinkEvent]:
+        return (event for _, event in heapq.merge(*self._by_kind.values(), key=itemgetter(0)))
 
 
 def telemetry_link(

@@ -1,18 +1,369 @@
-"""One client's right to command, and whose it is at the moment."""
+"""Who commands, and how a flight ends: stopped, landed, disarmed."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import hmac
+import math
 import secrets
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
-from groundstation.errors import NotAuthorisedError, TakenError
-from groundstation.links.command import CommandLink, is_software
+from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
+from groundstation.links.command import (
+    LONGEST_S,
+    LOOK_S,
+    TUMBLED,
+    CommandLink,
+    CommandState,
+    Landing,
+    is_software,
+)
 from groundstation.service import requests
 from groundstation.service.config import FailsafeConfig
-from groundstation.service.lander import LANDS, Descent
-from groundstation.service.motor_stop import Note, Stop
+
+# Stopping means stopped: zero thrust goes on, and more is tried, until the craft says that its
+# motors stand; what is said of them is what its own log says.
+
+
+ENDS_S, FLIES_ON_S = 0.25, 5.0
+"""How long zero thrust is sent at an end, for a radio may lose some; how much longer to a craft
+that still takes itself for flying."""
+STILL_S = 0.5
+"""Motors that turn so long after they were asked to stop are disarmed, then stopped by the
+firmware's emergency stop, again and again."""
+UNSEEN_S, SEEN_S = 2.0, 2.5
+"""Without telemetry for so long nobody knows whether they have stopped; how long an operator is
+kept waiting for what becomes of them."""
+BY_OPERATOR = "the operator has stopped the motors"
+LANDED_BY_OPERATOR = "the operator has landed the craft"
+"""Why a lease ended, as its client is told."""
+STOPPED = "stopped"
+STILL_TURN = "asked to stop, motors still turn"
+NOT_TOLD = "asked to stop; no telemetry says whether the motors still turn"
+
+Note = Callable[[str, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """What the craft last said of its motors: how long ago, s, and the largest duty."""
+
+    age_s: float
+    duty: float
+
+
+@dataclass(slots=True)
+class Stop:
+    """Motors of one craft that were asked to stop, at ``asked_s``. forced: how often more than zero
+    thrust was tried. disarms: whether it was asked to disarm, too. stopped: whether they were seen
+    to; None: there is no telemetry that says so."""
+
+    link: CommandLink
+    asked_s: float
+    disarms: bool = False
+    forced: int = 0
+    stopped: bool | None = False
+    over: bool = False
+
+    @property
+    def told(self) -> str:
+        """What the craft has said of its motors so far: ``STOPPED`` where they stand."""
+        return STOPPED if self.stopped else STILL_TURN if self.stopped is False else NOT_TOLD
+
+
+class Stopping:
+    """The stop of one craft's motors, where one was asked for, and the zero thrust after a flight.
+    Both stay with the craft that they began on.
+
+    motors: what the telemetry says of the motors of a craft, None where it does not. note: told
+    (kind, text). clock: monotonic, s.
+    """
+
+    def __init__(
+        self,
+        motors: Callable[[CommandLink], Motors | None],
+        note: Note,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._motors, self._note, self._clock = motors, note, clock
+        self._client = ""
+        self._stop: Stop | None = None
+        self._settling: CommandLink | None = None
+        self._zero_until_s = 0.0  # zero thrust is repeated until then
+
+    @property
+    def runs(self) -> bool:
+        """Whether motors were asked to stop and are not known to have done so."""
+        return self._stop is not None
+
+    def ask(self, link: CommandLink, client: str) -> Stop:
+        """Stop the motors of a craft, in the name of ``client``."""
+        now_s = self._clock()
+        self.settle(link, now_s, client)
+        self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
+        stop = self._stop
+        if stop is None or stop.link is not link:
+            # one that runs goes on: asked again and again it must not begin anew
+            stop = self._stop = Stop(link, now_s)
+        link.withdraw_arming()
+        send_level(link, 0, client)
+        with contextlib.suppress(LinkError):  # gone: its own limits stop it
+            # where motors have to be armed, they idle until they are disarmed
+            stop.disarms |= link.disarms_in_flight and link.arm(False)
+            cleared = link.clear_assists()
+            if cleared:
+                text = f"{', '.join(cleared)} set to 0: it would keep the motors running"
+                self._note("command", text)
+        return stop
+
+    def settle(self, link: CommandLink, now_s: float, client: str) -> None:
+        """A client that flew has asked for zero thrust: it goes on as long as the craft needs."""
+        self._settling, self._client = link, client
+        self._zero_until_s = now_s + link.settles_s
+
+    def cancel(self) -> None:
+        """Zero thrust need not go on: motors are to run, or the craft is left."""
+        self._settling, self._zero_until_s = None, 0.0
+
+    def goes_on(self, now_s: float) -> bool:
+        """Whether a stop is not known to be over, or zero thrust has to go on."""
+        return self.runs or self._settles(now_s)
+
+    def look(self, now_s: float, *, repeat: bool) -> None:
+        """Do what the time demands. repeat: whether nobody else sends setpoints."""
+        if self._settling is not None and repeat and self._settles(now_s):
+            send_level(self._settling, 0, self._client)
+        if self._stop is not None:
+            self._watch(self._stop, now_s)
+
+    def _settles(self, now_s: float) -> bool:
+        """Whether zero thrust has to go on: a craft that takes itself for flying is locked by its
+        firmware where setpoints cease."""
+        late_s, link = now_s - self._zero_until_s, self._settling
+        flies = link is not None and link.supervisor.flies
+        return link is not None and (late_s < 0.0 or (flies and late_s < FLIES_ON_S))
+
+    def _watch(self, stop: Stop, now_s: float) -> None:
+        """Say that motors have stopped when the craft says so, and not before."""
+        waited_s, said = now_s - stop.asked_s, self._motors(stop.link)
+        # when the craft said so, behind the request; what it said before tells nothing
+        said_s = -1.0 if said is None else waited_s - said.age_s
+        if said is not None and said_s > 0.0 and said.duty <= 0.0 and _is_disarmed(stop, waited_s):
+            self._note("command", f"motors stopped, {waited_s:.2f} s after they were asked to")
+            self._end(stop, stopped=True)
+        elif waited_s > max(said_s, 0.0) + UNSEEN_S:
+            self._note("fault", NOT_TOLD)
+            self._end(stop, stopped=None)
+        elif said_s > STILL_S * (stop.forced + 1):
+            stop.forced += 1
+            self._settling = stop.link
+            self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
+            self._note("fault", f"{STILL_TURN}: {_forced(stop)}")
+
+    def give_up(self) -> None:
+        """The craft is left: nobody hears any more what becomes of its motors."""
+        self.cancel()
+        if self._stop is not None:
+            self._end(self._stop, stopped=None)
+
+    def _end(self, stop: Stop, *, stopped: bool | None) -> None:
+        self._stop, stop.stopped, stop.over = None, stopped, True
+
+
+async def outcome(stop: Stop) -> str:
+    """What the craft says of motors that were asked to stop, in words, as soon as it does and after
+    ``SEEN_S`` at the latest: ``STOPPED`` where they stand."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + SEEN_S
+    while not stop.over and loop.time() < end_s:
+        await asyncio.sleep(LOOK_S)
+    return stop.told
+
+
+def _is_disarmed(stop: Stop, waited_s: float) -> bool:
+    """Whether motors that stand will not idle again: one that was asked to disarm has said that it
+    did, or says nothing of it. One that arms itself stands without thrust all the same."""
+    armed = stop.link.armed
+    is_asked = stop.disarms and not stop.link.supervisor.arms_itself
+    return not is_asked or armed is False or (armed is None and waited_s > STILL_S)
+
+
+def _forced(stop: Stop) -> str:
+    """More than zero thrust; what."""
+    with contextlib.suppress(LinkError):
+        # disarmed first, for an emergency stop ends the flying; one that arms itself would only
+        # stand for a moment
+        arms_itself = stop.link.supervisor.arms_itself
+        if stop.forced == 1 and not arms_itself and stop.link.arm(False):
+            stop.disarms = True
+            return "disarmed"
+        if stop.forced > 1 and stop.link.emergency_stop():
+            return "emergency stop"
+    return "asked again"
+
+
+def send_level(
+    link: CommandLink,
+    thrust: int,
+    client: str,
+    height_m: float | None = None,
+    until_s: float | None = None,
+    hovers: bool = False,
+) -> None:
+    """A setpoint of level attitude, or of no velocity where the craft ``hovers``, worth sending
+    until ``until_s``."""
+    still = 0.0 if hovers and height_m is not None else None
+    # without the craft, or a height that it knows, there is nothing to be done: its own limits
+    # stop it, or the stop that follows
+    with contextlib.suppress(LinkError, BadInputError):
+        link.setpoint(
+            0.0,
+            0.0,
+            0.0,
+            thrust,
+            height_m=height_m,
+            vx_m_s=still,
+            vy_m_s=still,
+            client=client,
+            until_s=until_s,
+        )
+
+
+# Landing a craft whose client is gone, has asked for it, or is not wanted any more: level, slowly,
+# and motors off at the ground. It depends on the failsafe's clock alone.
+
+
+TILT_MOST_DEG = 50.0
+"""A craft that leans further does not fly level any more: no setpoint lands it."""
+SILENT_S = 1.0
+"""Without word of where it is for so long, nobody knows what a craft does."""
+GRACE_S, STALE_S = 0.3, 1.7
+"""A process that stood still hears within this what its craft said meanwhile, where it did not
+stand still for longer than that: then nobody knows whether the craft still flies."""
+LANDED = "landed"
+LANDS = "the craft is being landed"
+
+
+@dataclass(slots=True)
+class Descent:
+    """The landing of one craft, in the name of ``client``. stop: of its motors, once they were
+    asked to. landed: whether it came to its end; False where motors were stopped before."""
+
+    link: CommandLink
+    client: str
+    begun_s: float
+    landing: Landing
+    stop: Stop | None = None
+    landed: bool = False
+    over: bool = False
+
+    @property
+    def is_done(self) -> bool:
+        return self.over and (self.stop is None or self.stop.over)
+
+    @property
+    def told(self) -> str:
+        """``LANDED``, or what the craft has said of its motors so far."""
+        if self.stop is None:
+            return NOT_TOLD if self.over else LANDS
+        return LANDED if self.landed and self.stop.told == STOPPED else self.stop.told
+
+
+class Lander:
+    """The landing of one craft at a time. Who uses it holds a lock.
+
+    note: told (kind, text). stop: stops the motors of a craft in the name of a client. clock:
+    monotonic, s.
+    """
+
+    def __init__(
+        self,
+        note: Note,
+        stop: Callable[[CommandLink, str], Stop],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._note, self._stop, self._clock = note, stop, clock
+        self._present: Descent | None = None
+
+    @property
+    def runs(self) -> bool:
+        return self._present is not None
+
+    @property
+    def present(self) -> Descent | None:
+        """The landing that goes on."""
+        return self._present
+
+    def begin(self, link: CommandLink, client: str, height_m: float | None) -> Descent:
+        """Land a craft that flies, of which ``refusal`` says nothing. height_m: that it was asked
+        for last."""
+        now_s, place = self._clock(), link.supervisor.place
+        measured_m = None if place is None else place.z_m
+        descent = Descent(link, client, now_s, Landing(now_s, height_m, measured_m))
+        self._present = descent
+        self._note("landing", f"{LANDS}: level, motors off at the ground")
+        self.look(now_s)
+        return descent
+
+    def cancel(self, stop: Stop | None = None) -> None:
+        """It ends here: motors are being stopped instead."""
+        descent, self._present = self._present, None
+        if descent is not None:
+            descent.stop, descent.over = stop, True
+
+    def look(self, now_s: float) -> None:
+        """Send what the time demands, or end it."""
+        descent = self._present
+        if descent is None:
+            return
+        link = descent.link
+        place = link.supervisor.place
+        begun_s = now_s - descent.begun_s
+        if trouble := refusal(link, now_s, waits=begun_s < GRACE_S):
+            self._note("fault", f"{trouble}: it cannot be landed, its motors are asked to stop")
+        else:
+            said = {} if place is None else {"measured_m": place.z_m, "climb_m_s": place.vz_m_s}
+            height_m = descent.landing.tick(now_s, **said)
+            if height_m is not None:
+                send_level(link, 0, descent.client, height_m, hovers=link.holds_place)
+                return
+            descent.landed = True
+            self._note("landing", f"the craft has landed: {descent.landing.over}")
+        self._present = None
+        descent.stop, descent.over = self._stop(link, descent.client), True
+
+
+def refusal(link: CommandLink, now_s: float, *, waits: bool = False) -> str:
+    """Why a craft cannot be landed, or empty. waits: whether it may be silent for the moment."""
+    place = link.supervisor.place
+    if link.state is not CommandState.CONNECTED:
+        return f"{link.uri} is not connected ({link.state.value})"
+    if not link.holds_height:
+        return "the craft holds no height"
+    if place is None or now_s - place.heard_s > (STALE_S if waits else SILENT_S):
+        return "the craft does not say where it is"
+    if not place.tilt_deg < TILT_MOST_DEG:
+        return f"the craft leans by {place.tilt_deg:.0f} degrees"
+    return ""
+
+
+async def outcome_of(descent: Descent) -> str:
+    """What became of a landing, in words, as soon as that is known: ``LANDED``, or what the craft
+    says of its motors."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + LONGEST_S + SEEN_S
+    while not descent.is_done and loop.time() < end_s:
+        await asyncio.sleep(LOOK_S)
+    return descent.told
+
+
+# One client's right to command, and whose it is at the moment.
+
 
 FAILSAFE = "dead man"
 """The author of the failsafe's setpoints and events, as recordings of every version call it."""
@@ -183,3 +534,257 @@ def identity_of(link: CommandLink) -> requests.CraftIdentity:
     return requests.CraftIdentity(
         uri=link.uri, vehicle=link.vehicle, firmware=link.firmware, id=link.craft_id
     )
+
+
+# Asking a craft to arm its motors, to disarm them or to recover from a crash, until it has
+# answered.
+
+
+ANSWER_S = 2.0
+"""A craft that has not answered a request to arm by then does not."""
+STATE_S = 0.3
+"""After so long the craft has said what state it is in, and has left one that passes."""
+CHECKS_S = 3.0
+"""A craft that was just switched on has passed its checks before flight by then: it measures its
+gyro's bias first."""
+
+
+Turn = Callable[[], AbstractContextManager[None]]
+
+
+class Asking:
+    """One request at a time: each ends the one before it, which then sends nothing more.
+
+    lock: held while one is sent and while one is ended."""
+
+    def __init__(self, lock: threading.RLock) -> None:
+        self._lock = lock
+        self._number = 0
+
+    def begin(self) -> Turn:
+        """What the new request sends under. It raises TakenError once that is over."""
+        with self._lock:
+            self._number += 1
+            number = self._number
+
+        @contextlib.contextmanager
+        def turn() -> Iterator[None]:
+            with self._lock:
+                if number != self._number:
+                    raise TakenError("a stop or another such request has ended this one")
+                yield
+
+        return turn
+
+    def end(self) -> None:
+        """Nothing is asked for any more."""
+        with self._lock:
+            self._number += 1
+
+
+async def ask_to_arm(link: CommandLink, on: bool, turn: Turn = contextlib.nullcontext) -> None:
+    """Arm the motors or disarm them, and wait for the craft's answer.
+
+    Raises BadInputError for a firmware that knows no arming, LinkError where it refuses or does
+    not answer, and what ``turn`` does."""
+    word = "arm" if on else "disarm"
+    if on and link.supervisor.trouble:
+        raise LinkError(f"the craft refuses to arm its motors: {link.supervisor.trouble}")
+    asked_s = _now_s()
+    while not (await _armed(link, on, turn) and await _is_seen(link, on)):
+        waited_s = _now_s() - asked_s
+        await asyncio.sleep(STATE_S)  # its state may not be known yet, or be about to pass
+        if link.supervisor.trouble or waited_s > CHECKS_S:
+            why = link.supervisor.refusal
+            raise LinkError(f"the craft refuses to {word} its motors{why and ': '}{why}")
+    if not on and link.supervisor.arms_itself:
+        raise LinkError(
+            "the craft was disarmed and has armed itself again, as a brushed one does: its"
+            " motors are stopped by `groundstation motors stop`"
+        )
+
+
+async def ask_to_recover(link: CommandLink, turn: Turn = contextlib.nullcontext) -> None:
+    """Let a craft that calls itself crashed be ready again, and wait until it says so.
+
+    Raises BadInputError for one that has not crashed, LinkError where it does not recover."""
+    if not link.supervisor.crashed:
+        raise BadInputError("the craft does not say that it has crashed: nothing to recover from")
+    asked_s = _now_s()
+    while (said := link.supervisor).crashed:
+        if said.tumbled:
+            raise LinkError(TUMBLED)
+        if _now_s() - asked_s > ANSWER_S:
+            raise LinkError("the craft still calls itself crashed: switch it off and on")
+        with turn():
+            link.recover()  # again, for a request may be lost
+        await asyncio.sleep(STATE_S)
+    if said.bits is None:
+        raise LinkError(f"{link.uri} is not connected any more: look at the craft")
+
+
+async def _armed(link: CommandLink, on: bool, turn: Turn) -> bool:
+    """Whether the craft does as it is asked; raises as ``ask_to_arm``."""
+    with turn():
+        is_known = link.arm(on)
+    if not is_known:
+        raise BadInputError("this craft's firmware knows no arming: thrust starts its motors")
+    asked_s = _now_s()
+    while link.armed is None and _now_s() - asked_s < ANSWER_S:
+        await asyncio.sleep(LOOK_S)
+    if link.armed is None:
+        word = "arm" if on else "disarm"
+        raise LinkError(f"{link.uri} has not answered the request to {word} its motors")
+    return link.armed is on
+
+
+async def _is_seen(link: CommandLink, on: bool) -> bool:
+    """Whether the craft's own log says so too, where it has one: a firmware that runs in software
+    answers every request by repeating it."""
+    if on and link.supervisor.bits is not None:
+        await asyncio.sleep(2 * STATE_S)
+    return link.armed is on
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+# How a flight ends, whoever ends it: the craft is landed, or its motors are stopped at once.
+
+
+FRESH_S, RESTS_S = 0.5, 1.5
+"""How old what a craft says of its motors may be, where they must stand, and how long ago they must
+have been asked to turn: the radio may have taken that late."""
+LATE_S = 1.7
+"""So long after the last setpoint nothing is landed: the firmware stops the motors after 2 s, and
+nobody knows where a craft is that fell. A daemon that stood still comes so late."""
+
+
+class FlightEnd:
+    """The landing and the stop that go on. Who uses it holds a lock.
+
+    motors: what the telemetry says of the motors of a craft, None where it does not. note: told
+    (kind, text). asking: what is asked of the craft besides, which a stop ends. clock: monotonic,
+    s. held: why no motor may begin, in words, or empty.
+    """
+
+    def __init__(
+        self,
+        motors: Callable[[CommandLink], Motors | None],
+        note: Note,
+        asking: Asking,
+        clock: Callable[[], float],
+    ) -> None:
+        self.stopping = Stopping(motors, note, clock)
+        self.lander = Lander(note, self.stopping.ask, clock)
+        self._note, self._asking, self._clock = note, asking, clock
+        self._motors, self.held, self._begun_s = motors, "", -math.inf
+
+    @property
+    def doing(self) -> str:
+        """What is going on, in words, or empty."""
+        if self.lander.runs:
+            return LANDS
+        return "the motors are being stopped" if self.stopping.runs else self.held
+
+    def begun(self) -> None:
+        """Motors are asked to turn."""
+        self._begun_s = self._clock()
+
+    def drives(self, link: CommandLink | None) -> bool:
+        """Whether the craft says that its motors turn, and nobody lands it."""
+        return link is not None and self._duty(link) > 0.0 and not self.lander.runs
+
+    def turns(self, link: CommandLink) -> bool:
+        """Whether motors turn, as far as the craft says."""
+        return link.supervisor.flies or self._duty(link) > 0.0
+
+    def _duty(self, link: CommandLink) -> float:
+        said = self._motors(link)
+        return 0.0 if said is None else said.duty
+
+    def is_still(self, link: CommandLink) -> bool:
+        """Whether the craft itself says just now that its motors stand and that it does not fly,
+        and nothing is going on that may turn them."""
+        said = self._motors(link)
+        stands = said is not None and said.age_s <= FRESH_S and said.duty == 0.0
+        late = self._clock() - self._begun_s < RESTS_S
+        goes_on = link.supervisor.flies or self.lander.runs or self.stopping.runs
+        return stands and not (late or goes_on)
+
+    def require_none(self, refused: str) -> None:
+        """Raises TakenError while one goes on. refused: what then was not done."""
+        if self.doing:
+            raise TakenError(f"{self.doing}: {refused}")
+
+    def goes_on(self, now_s: float) -> bool:
+        """Whether one is not over, or zero thrust has to go on."""
+        return self.lander.runs or self.stopping.goes_on(now_s)
+
+    def look(self, now_s: float, *, repeat: bool) -> None:
+        """Do what the time demands. repeat: whether nobody else sends setpoints."""
+        self.lander.look(now_s)
+        self.stopping.look(now_s, repeat=repeat and not self.lander.runs)
+
+    def stop(self, link: CommandLink, lease: Lease | None, client: str) -> Stop:
+        """Stop the motors at once, in the name of ``client``; lease: that in force."""
+        self._asking.end()
+        stop = self.stopping.ask(link, client)
+        self.lander.cancel(stop)
+        if lease is not None:
+            lease.set_down()
+            lease.stop, lease.descent = stop, None
+        return stop
+
+    def land(self, link: CommandLink, lease: Lease | None, client: str) -> Descent | Stop:
+        """Land the craft that flies for a lease, in the name of ``client``; a landing that runs
+        goes on. Where none flies no motor is begun, for the craft may be in somebody's hand: they
+        are stopped.
+
+        Raises BadInputError where it cannot be landed, TakenError while its motors are being
+        stopped."""
+        descent = self.lander.present
+        if descent is None:
+            if self.stopping.runs:
+                raise TakenError("the motors are being stopped: there is nothing to land")
+            if trouble := refusal(link, self._clock()):
+                raise BadInputError(f"{trouble}: it cannot be landed, its motors can be stopped")
+            if lease is None or not lease.flies:
+                return self.stop(link, lease, client)
+            self._asking.end()
+            self.stopping.cancel()
+            descent = self.lander.begin(link, client, lease.height_m)
+        if lease is not None:
+            lease.set_down()
+            lease.descent = descent
+        return descent
+
+    def land_or_stop(self, link: CommandLink, lease: Lease) -> None:
+        """As its client wishes: land its craft, or stop its motors where that cannot be."""
+        try:
+            self.land(link, lease, lease.client)
+        except BadInputError as error:
+            self._note("fault", str(error))
+            self.stop(link, lease, lease.client)
+        except TakenError:  # they are being stopped
+            lease.descent = None
+
+    def give_up(self) -> None:
+        """The craft is left: who waits for what becomes of it is told that nobody knows."""
+        self.lander.cancel()
+        self.stopping.give_up()
+
+    def end(self, link: CommandLink | None, lease: Lease, client: str) -> bool:
+        """End what runs for a lease that is over; whether the craft is landed."""
+        if link is None:
+            return False
+        if lease.descent is not None and not lease.descent.over:
+            return True
+        now_s = self._clock()
+        is_late = now_s - lease.setpoint_s > LATE_S
+        if lease.flies and not (is_late or self.stopping.runs or refusal(link, now_s, waits=True)):
+            self.land(link, lease, client)
+            return True
+        self.stop(link, lease, client)
+        return False

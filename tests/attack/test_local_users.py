@@ -8,9 +8,9 @@ import pytest
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service import client
-from groundstation.service.api import permitted_link
 from groundstation.service.client import ask
-from groundstation.service.control_socket import ControlSocket
+from groundstation.service.config import ControlSocket
+from groundstation.service.control import permitted_link
 from support.daemons import in_process
 from support.programs import Program, free_port
 

@@ -19,10 +19,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_stat
 from firmware_sim.persistent import CLEAR, STORE
 from groundstation.errors import GroundStationError
 from groundstation.links.command import LIFE_S, LONGEST_S
-from groundstation.service.commander import WATCH_S
-from groundstation.service.freshness import STOOD_S
-from groundstation.service.lander import LANDED
-from groundstation.service.motor_stop import STOPPED
+from groundstation.service.commander import STOOD_S, WATCH_S
+from groundstation.service.lease import LANDED, STOPPED
 from support.worlds import GAINS, World
 
 STEPS = int(os.environ.get("SAFETY_STEPS", "1000"))

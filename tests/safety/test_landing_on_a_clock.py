@@ -8,8 +8,7 @@ import pytest
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
 from groundstation.links.command import LONGEST_S, CommandState
 from groundstation.service.commander import WATCH_S
-from groundstation.service.lander import GRACE_S, LANDED, SILENT_S
-from groundstation.service.motor_stop import NOT_TOLD, SEEN_S, STOPPED
+from groundstation.service.lease import GRACE_S, LANDED, NOT_TOLD, SEEN_S, SILENT_S, STOPPED
 from support.worlds import HOVER, Flying
 
 HEIGHT_M = 0.6

@@ -7,8 +7,7 @@ import json
 import pytest
 
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
-from groundstation.service.changes import Changes
-from groundstation.service.parameters import AGAIN_S, LOOKS_S
+from groundstation.service.parameters import AGAIN_S, LOOKS_S, Changes
 from support.worlds import GAINS, Flying
 
 ROLL, PITCH, YAW = GAINS

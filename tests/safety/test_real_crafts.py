@@ -5,7 +5,7 @@ import asyncio
 from groundstation.links.command import CommandState
 from groundstation.service import overview
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
-from groundstation.service.motor_stop import STOPPED
+from groundstation.service.lease import STOPPED
 from groundstation.service.station import Station
 from support.crafts import served
 from support.waiting import eventually
@@ -31,7 +31,7 @@ def test_the_commands_follow_the_telemetry_to_another_craft(tmp_path):
                 lambda: commander.link.state is CommandState.CONNECTED, "connected again"
             )
             assert await commander.operator.stop() == STOPPED
-            assert overview.status(station)["command"]["out_of_reach"] == ""
+            assert overview.status_of(station)["command"]["out_of_reach"] == ""
             await station.craft.connect_command(one.uri)
             (reason,) = [text for text in overview.problems(station) if "stopped from here" in text]
             assert other.uri in reason

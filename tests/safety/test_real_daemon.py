@@ -12,8 +12,7 @@ import pytest
 
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot, ask
-from groundstation.service.lander import LANDED
-from groundstation.service.motor_stop import STOPPED
+from groundstation.service.lease import LANDED, STOPPED
 from support.crafts import served
 from support.daemons import Daemon
 from support.waiting import until

@@ -7,9 +7,8 @@ import pytest
 
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
 from groundstation.links.command import LIFE_S
-from groundstation.service.arming import CHECKS_S, STATE_S
 from groundstation.service.commander import WATCH_S
-from groundstation.service.motor_stop import NOT_TOLD, STILL_TURN, STOPPED
+from groundstation.service.lease import CHECKS_S, NOT_TOLD, STATE_S, STILL_TURN, STOPPED
 from support.worlds import HOVER, Flying
 
 ROUNDING_S = 1e-6

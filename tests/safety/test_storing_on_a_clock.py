@@ -7,7 +7,7 @@ import pytest
 
 from firmware_sim.persistent import CLEAR, STORE
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
-from groundstation.service.changes import Changes
+from groundstation.service.parameters import Changes
 from support.worlds import GAINS, HOVER, Flying
 
 ROLL, PITCH, YAW = GAINS

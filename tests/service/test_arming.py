@@ -7,8 +7,7 @@ import pytest
 from firmware_sim.supervisor import CRASHED, FLYING
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.crazyflie import CrazyflieLink
-from groundstation.service.arming import ask_to_arm, ask_to_recover
-from groundstation.service.motor_stop import send_level
+from groundstation.service.lease import ask_to_arm, ask_to_recover, send_level
 from support.crafts import served
 from support.waiting import eventually
 

@@ -14,15 +14,11 @@ import pytest
 
 from groundstation.errors import BadInputError, GroundStationError, NotAuthorisedError
 from groundstation.links.command import CommandState
-from groundstation.service import commander, freshness
+from groundstation.service import commander
+from groundstation.service import commander as freshness
 from groundstation.service.client import Client, Pilot, ask, live
-from groundstation.service.config import (
-    Config,
-    FailsafeConfig,
-    LinkConfig,
-    RecordingConfig,
-)
-from groundstation.service.lander import LANDED
+from groundstation.service.config import Config, FailsafeConfig, LinkConfig, RecordingConfig
+from groundstation.service.lease import LANDED
 from support import RECORDINGS
 from support.crafts import run_flat
 from support.programs import free_port

@@ -10,8 +10,7 @@ import pytest
 
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.service.client import Client, ask
-from groundstation.service.config import Config, LinkConfig, RecordingConfig
-from groundstation.service.control_socket import ControlSocket
+from groundstation.service.config import Config, ControlSocket, LinkConfig, RecordingConfig
 from support import stations
 
 

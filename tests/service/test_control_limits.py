@@ -10,7 +10,8 @@ import psutil
 import pytest
 
 from groundstation.errors import GroundStationError
-from groundstation.service import connections, control
+from groundstation.service import client as connections
+from groundstation.service import control
 from groundstation.service.client import Client, ask, live
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.control import BODY_MOST

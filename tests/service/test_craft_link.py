@@ -202,7 +202,7 @@ def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, 
         link = station.commander.link
         await eventually(lambda: link.state is CommandState.CONNECTED)
         await station.commander.operator.arm(True)
-        assert overview.status(station)["command"]["armed"] is True
+        assert overview.status_of(station)["command"]["armed"] is True
         await eventually(lambda: link.supervisor.arms_itself)
         with pytest.raises(LinkError, match="has armed itself again, as a brushed one does"):
             await station.commander.operator.arm(False)
@@ -218,7 +218,7 @@ def test_nothing_is_claimed_of_arming_that_the_craft_does_not_say(tmp_path, monk
         link = station.commander.link
 
         def armed() -> bool | None:
-            return overview.status(station)["command"]["armed"]
+            return overview.status_of(station)["command"]["armed"]
 
         async def scenario() -> None:
             await eventually(lambda: link.supervisor.bits is not None)
@@ -249,7 +249,7 @@ def test_firmware_in_software_that_repeats_a_request_to_arm_is_not_called_armed(
             await eventually(lambda: link.supervisor.bits is not None)
             with pytest.raises(LinkError, match="refuses to arm its motors"):
                 await station.commander.operator.arm(True)
-            assert overview.status(station)["command"]["armed"] is False
+            assert overview.status_of(station)["command"]["armed"] is False
             craft.craft.emergency_stop()
             await eventually(lambda: link.supervisor.trouble)
             with pytest.raises(LinkError, match="refuses to arm its motors: the craft has locked"):

@@ -9,9 +9,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from groundstation.links.base import Link, LinkState
 from groundstation.service.client import ask
-from groundstation.service.config import Config, RecordingConfig
+from groundstation.service.config import Config, ControlSocket, RecordingConfig
 from groundstation.service.control import ControlServer
-from groundstation.service.control_socket import ControlSocket
 from groundstation.service.station import Station
 from support.stations import serve
 from support.waiting import until

@@ -1,6 +1,6 @@
 import json
 
-from groundstation.service.job_result import advice
+from groundstation.service.jobs import advice
 
 
 def test_what_a_fit_advises_is_read_from_what_it_left_out_and_warns_of(tmp_path):

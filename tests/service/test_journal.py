@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from groundstation.links.command import LinkEvent
-from groundstation.service.journal import EVENTS_KEPT, Journal
+from groundstation.service.craft_links import EVENTS_KEPT, Journal
 
 
 @pytest.fixture

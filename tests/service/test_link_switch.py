@@ -19,10 +19,10 @@ from groundstation.recording.mcap_schemas import (
     RAW_TOPIC,
     decode_entry,
 )
+from groundstation.service import craft_links as receiver_module
 from groundstation.service import overview
-from groundstation.service import receiver as receiver_module
-from groundstation.service.api import permitted_link
 from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
+from groundstation.service.control import permitted_link
 from groundstation.service.station import Station
 from support import RECORDINGS
 
@@ -93,7 +93,7 @@ def test_the_recording_goes_on_with_a_new_segment_and_no_sample_is_misplaced(tmp
     async def conversation(station):
         for name in (f"replay:{FLIGHT}", "stand-in", f"replay:{RECORDINGS / 'microsd_log16'}"):
             await station.switch_link(name)
-            assert overview.status(station)["link"]["name"] == name
+            assert overview.status_of(station)["link"]["name"] == name
             await samples(station, 300)
 
     # not the recorded flight
@@ -134,8 +134,8 @@ def test_where_the_other_link_cannot_be_opened_the_present_one_stays(tmp_path):
         before = station.receiver.decoder.counts().samples
         await samples(station, before + 200)
         assert (
-            overview.status(station)["link"] | {"name": "stand-in", "state": "streaming"}
-            == (overview.status(station)["link"])
+            overview.status_of(station)["link"] | {"name": "stand-in", "state": "streaming"}
+            == (overview.status_of(station)["link"])
         )
 
     _, recording = run(tmp_path, conversation)
@@ -159,7 +159,7 @@ def test_a_link_that_never_opens_is_given_up_and_the_present_one_stays(tmp_path,
         with pytest.raises(LinkError, match=r"has not opened within 0.3 s, so the present link"):
             await station.switch_link("serial:/dev/ttyUSB0")
         await samples(station, before + 200)
-        assert overview.status(station)["link"]["name"] == "stand-in"
+        assert overview.status_of(station)["link"]["name"] == "stand-in"
         await station.switch_link(f"replay:{FLIGHT}")
 
     try:
@@ -182,11 +182,11 @@ def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tm
 
     async def conversation(station):
         async with asyncio.timeout(60):
-            while overview.status(station)["recording"]["state"] != "finished":
+            while overview.status_of(station)["recording"]["state"] != "finished":
                 await asyncio.sleep(0.02)
             await station.switch_link("stand-in")
             await samples(station, 200)
-        assert overview.status(station)["recording"]["state"] == "recording"
+        assert overview.status_of(station)["recording"]["state"] == "recording"
 
     async def session():
         viewer = ViewerConfig(mode="serve", port=free_port(), web_port=free_port())

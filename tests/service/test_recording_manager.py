@@ -45,7 +45,7 @@ def run(tmp_path, monkeypatch):
 
 
 def recorded(station):
-    return overview.status(station)["recording"]["samples"]
+    return overview.status_of(station)["recording"]["samples"]
 
 
 def files(tmp_path):
@@ -92,7 +92,7 @@ def test_as_fast_as_possible_rotation_loses_nothing_either(run, tmp_path):
     assert sum(entry.raw_packets for entry in catalogue(tmp_path / "sessions")) == (
         station.statistics.packets
     )
-    assert overview.status(station)["recording"]["dropped"] == 0
+    assert overview.status_of(station)["recording"]["dropped"] == 0
 
 
 def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, tmp_path):
@@ -101,9 +101,9 @@ def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, t
         gone_s = asyncio.get_running_loop().time()
         await eventually(lambda: station.recordings.resumed == 1)
         print(f"recording again after {asyncio.get_running_loop().time() - gone_s:.2f} s")
-        await eventually(lambda: overview.status(station)["recording"]["samples"] > 100)
-        assert overview.status(station)["recording"]["state"] == "recording"
-        assert overview.status(station)["recording"]["wanted"]
+        await eventually(lambda: overview.status_of(station)["recording"]["samples"] > 100)
+        assert overview.status_of(station)["recording"]["state"] == "recording"
+        assert overview.status_of(station)["recording"]["wanted"]
 
     run(conversation)
     (path,) = files(tmp_path)
@@ -122,7 +122,7 @@ def test_what_an_operator_stopped_is_not_resumed(run, tmp_path):
 
     station = run(conversation, rotate_minutes=0.02)
     assert station.recordings.resumed == 0
-    assert overview.status(station)["recording"]["state"] == "finished"
+    assert overview.status_of(station)["recording"]["state"] == "finished"
 
 
 def test_the_oldest_recordings_give_way_and_nothing_else_does(run, tmp_path):
@@ -232,7 +232,7 @@ def test_the_catalogue_tells_finished_torn_and_growing_files_apart(run, tmp_path
 def test_a_file_being_made_when_the_daemon_ends_leaves_nothing_behind(run, tmp_path, monkeypatch):
     import threading
 
-    from groundstation.service.sessions import Sessions
+    from groundstation.service.recording_manager import Sessions
 
     create, making, go_on = Sessions.create, threading.Event(), threading.Event()
 

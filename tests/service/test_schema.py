@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from groundstation.links.command import LinkEvent
 from groundstation.recording.mcap_scan import CatalogueEntry
-from groundstation.service.answers import HealthStatus, Status
 from groundstation.service.client import Client
 from groundstation.service.config import Config, RecordingConfig
+from groundstation.service.requests import HealthStatus, Status
 from support.stations import serve
 
 EXPECTED = {200, 400, 403, 404, 405, 409, 413, 429, 503}

@@ -6,7 +6,7 @@ import pytest
 from groundstation.errors import BadInputError
 from groundstation.links.command import LinkEvent
 from groundstation.recording.formats import open_recording
-from groundstation.service.sessions import Sessions
+from groundstation.service.recording_manager import Sessions
 from groundstation.telemetry.decoder import Decoder, LinkMeter
 from support.packets import COPIES, assert_same_samples, flight
 

@@ -10,8 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from groundstation.service.health import Health
-from groundstation.service.stalls import Figures, explained
+from groundstation.service.station import Figures, Health, explained
 from support.programs import Program
 
 HELD_S = 0.8

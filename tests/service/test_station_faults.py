@@ -11,13 +11,18 @@ import pytest
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError, LinkLostError
 from groundstation.links.base import Link, LinkState
 from groundstation.recording.formats import open_recording
+from groundstation.service import craft_links as receiver_module
 from groundstation.service import overview
-from groundstation.service import receiver as receiver_module
 from groundstation.service import station as station_module
 from groundstation.service.client import TIMEOUT_S, ask
-from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
+from groundstation.service.config import (
+    Config,
+    ControlSocket,
+    LinkConfig,
+    RecordingConfig,
+    ViewerConfig,
+)
 from groundstation.service.control import ControlServer
-from groundstation.service.control_socket import ControlSocket
 from groundstation.service.station import Station
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
@@ -177,18 +182,18 @@ def test_while_the_device_is_away_windows_close_and_the_status_says_lost(
         await eventually(lambda: station.statistics and station.statistics.samples)
         link.present.clear()
         link.queue.put_nowait(LinkLostError("unplugged"))
-        await eventually(lambda: overview.status(station)["link"]["state"] == "lost")
+        await eventually(lambda: overview.status_of(station)["link"]["state"] == "lost")
         before = station.statistics
         await eventually(
             lambda: station.statistics is not before and station.statistics.rate_hz == 0
         )
         silent = station.statistics
         await eventually(lambda: station.statistics is not silent)
-        status = overview.status(station)["link"]
+        status = overview.status_of(station)["link"]
         assert (status["state"], status["rate_hz"], status["latency_ms"]) == ("lost", 0.0, None)
         link.present.set()
         link.queue.put_nowait(flight(1000, 50)[0])
-        await eventually(lambda: overview.status(station)["link"]["state"] == "streaming")
+        await eventually(lambda: overview.status_of(station)["link"]["state"] == "streaming")
 
     live(conversation)
     recorded = open_recording(files(tmp_path)[0]).statistics

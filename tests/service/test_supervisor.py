@@ -4,11 +4,9 @@ import asyncio
 
 import pytest
 
-from groundstation.service import supervisor as supervisor_module
-from groundstation.service.config import Config, RecordingConfig
-from groundstation.service.limits import RateLimit
-from groundstation.service.station import Station
-from groundstation.service.supervisor import Supervisor
+from groundstation.service import station as supervisor_module
+from groundstation.service.config import Config, RateLimit, RecordingConfig
+from groundstation.service.station import Station, Supervisor
 from support.waiting import eventually
 
 

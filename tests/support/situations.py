@@ -12,7 +12,7 @@ from pathlib import Path
 from firmware_sim.supervisor import CRASHED, LOCKED
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
-from groundstation.service.motor_stop import STOPPED
+from groundstation.service.lease import STOPPED
 from support.begun import HEIGHT_M, Begun, Hovering, held
 from support.crafts import NarrowRadio
 from support.daemons import COMMAND, Daemon

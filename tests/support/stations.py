@@ -8,9 +8,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
-from groundstation.service.config import Config
+from groundstation.service.config import Config, ControlSocket
 from groundstation.service.control import ControlServer
-from groundstation.service.control_socket import ControlSocket
 from groundstation.service.station import Station
 
 T = TypeVar("T")

@@ -31,10 +31,10 @@ from groundstation.links.command import (
     Supervisor,
 )
 from groundstation.links.crazyflie import STATE_S, Outbox
-from groundstation.service.changes import Changes
 from groundstation.service.commander import WATCH_S, Commander
 from groundstation.service.config import FailsafeConfig
-from groundstation.service.motor_stop import Motors
+from groundstation.service.lease import Motors
+from groundstation.service.parameters import Changes
 
 T = TypeVar("T")
 HOVER = 40000

@@ -16,7 +16,7 @@ from groundstation.cli.devices import craft_in_reach
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.links.command import LOOKED_THROUGH, ways_of
 from groundstation.service.client import ask
-from groundstation.service.dongles import Dongles
+from groundstation.service.craft_links import Dongles
 from support.daemons import Daemon
 from support.programs import Program
 
@@ -28,7 +28,7 @@ OTHER = f"radio://{BEYOND}/80/2M"
 HOLDS = """
 import sys
 from groundstation.links.command import ways_of
-from groundstation.service.dongles import Dongles
+from groundstation.service.craft_links import Dongles
 dongles = Dongles()
 dongles.take(ways_of(sys.argv[1:]))
 print(flush=True)
