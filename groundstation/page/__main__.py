@@ -12,8 +12,7 @@ import socket
 import sys
 from pathlib import Path
 
-from groundstation.page.access import Access
-from groundstation.page.app import page_app
+from groundstation.page.app import Access, page_app
 from groundstation.page.follower import Follower
 from groundstation.service.client import http_server
 

@@ -7,7 +7,12 @@ and its token as well (``access.py``).
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+import base64
+import hashlib
+import hmac
+import re
+import secrets
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -24,18 +29,222 @@ from starlette.responses import (
     RedirectResponse,
     Response,
 )
-from starlette.routing import Route
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.page.access import Access
-from groundstation.page.alarms import alarms
 from groundstation.page.follower import Follower
-from groundstation.page.help import help_route
 from groundstation.page.opening import UnknownColumnsError, add, add_example, channels, examples
 from groundstation.report.page import THEME
 from groundstation.service.client import Pilot, ask
 from groundstation.text import printable
+
+# Who may use the page: browsers that opened a one-time address, from pages of this server.
+
+
+COOKIE_BYTES = 18
+
+
+class Access:
+    """Cookies, tokens against forged requests, and the names that this server is called by.
+
+    key: signs cookies; whoever holds it can make one. port: the page's.
+
+    A browser sends cookies to every port of a host, so the cookie's name holds the port. ``Host``
+    is compared because a page of any site may be given this address by its name server.
+    """
+
+    def __init__(self, key: bytes, port: int) -> None:
+        self._key = key
+        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+        self.cookie = f"groundstation_{port}"
+
+    def knows_host(self, host: str) -> bool:
+        """Whether a request was meant for this server."""
+        return host.lower() in self._hosts
+
+    def new_session(self) -> str:
+        """The value of a new cookie."""
+        name = secrets.token_urlsafe(COOKIE_BYTES)
+        return f"{name}.{self._sign('session', name)}"
+
+    def is_session(self, cookie: str) -> bool:
+        """Whether a cookie's value is one that was given out."""
+        name, _, signature = cookie.partition(".")
+        return _same(signature, self._sign("session", name))
+
+    def knows(self, headers: Iterable[tuple[bytes, bytes]]) -> bool:
+        """Whether a request's headers hold such a cookie."""
+        sent = dict(headers).get(b"cookie", b"").decode("latin-1")
+        values = (
+            pair.partition("=")[2]
+            for pair in sent.split("; ")
+            if pair.startswith(f"{self.cookie}=")
+        )
+        return any(map(self.is_session, values))
+
+    def change_token(self, cookie: str) -> str:
+        """What a page of ours shows with each request that changes something."""
+        return self._sign("change", cookie)
+
+    def may_change(self, headers: Mapping[str, str], cookie: str) -> bool:
+        """Whether a request comes from a page of ours: its origin, and the token it was given."""
+        origin = headers.get("origin", "")
+        host = headers.get("host", "")
+        ours = self.knows_host(host) and origin.lower() == f"http://{host.lower()}"
+        return ours and _same(headers.get("x-change-token", ""), self.change_token(cookie))
+
+    def _sign(self, purpose: str, text: str) -> str:
+        return hmac.new(self._key, f"{purpose} {text}".encode(), "sha256").hexdigest()
+
+
+def _same(one: str, other: str) -> bool:
+    return hmac.compare_digest(one.encode(), other.encode())
+
+
+# What an operator must not overlook, in words, from the daemon's status; pure.
+
+
+BATTERY_LOW_V, BATTERY_EMPTY_V = 3.3, 3.1
+"""Of one lithium-polymer cell that carries the craft: land soon, land now."""
+LOSS_MOST_PCT = 2.0
+DISK_LOW_MB = 1024.0
+VIEW_BEHIND_S = 2.0
+
+Alarm = dict[str, str]
+"""level: ``alarm`` (act), ``warning`` (look) or ``busy`` (wait); text; details, where there are."""
+
+
+def alarms(status: dict[str, Any] | None, fault: str, battery_v: float | None) -> list[Alarm]:
+    """The worst first. status: as the control API gives it; fault: why it cannot be asked."""
+    if fault:
+        return [_alarm(f"The groundstation does not answer: {fault}")]
+    found = [] if status is None else list(_found(status, battery_v))
+    return sorted(found, key=lambda one: one["level"] != "alarm")
+
+
+def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
+    for problem in status["health"]["problems"]:
+        yield _alarm(problem[:1].upper() + problem[1:])
+    command = status["command"]
+    if command is not None and command["unproven"]:
+        yield _unproven(command)
+    link = status["link"]
+    streaming = link["state"] == "streaming" and not link["pauses"]
+    prepares = link["pauses"] and link["state"] == "opening"
+    if prepares:
+        yield {"level": "busy", "text": link["doing"][:1].upper() + link["doing"][1:]}
+    elif link["pauses"]:
+        yield _warning(f"The stand-in pauses: {link['doing']}")
+    if streaming and battery_v is not None and battery_v < BATTERY_EMPTY_V:
+        yield _alarm(f"Battery empty: {battery_v:.2f} V. Land now")
+    elif streaming and battery_v is not None and battery_v < BATTERY_LOW_V:
+        yield _warning(f"Battery low: {battery_v:.2f} V. Land soon")
+    recording = status["recording"]
+    if not recording["wanted"] and not prepares:
+        yield _warning("Nothing is being recorded")
+    if (
+        recording["wanted"]
+        and recording["free_mb"] is not None
+        and recording["free_mb"] < DISK_LOW_MB
+    ):
+        yield _warning(f"Disk: {recording['free_mb']:.0f} MB left")
+    statistics = status["statistics"]
+    if streaming and statistics is not None and statistics["loss_pct"] > LOSS_MOST_PCT:
+        yield _warning(f"{statistics['loss_pct']:.0f} % of the rows of the last second are lost")
+    viewer = status["viewer"]
+    if viewer["behind_s"] > VIEW_BEHIND_S:
+        yield _warning(f"A live view is {viewer['behind_s']:.0f} s behind; it is sent less often")
+    twin = status["twin"]
+    if twin is not None and twin["state"] == "failed":
+        yield _warning(f"The twin has failed: {twin['text']}")
+    for one in [] if twin is None else twin["disagreements"]:
+        yield _warning(f"Craft and model disagree: {one['channel']}, {one['regime']}. {one['why']}")
+
+
+def _unproven(command: dict[str, Any]) -> Alarm:
+    """Parameters of a flight that did not end as its client wanted."""
+    back = (
+        "are being written back"
+        if command["state"] == "connected"
+        else "are written back when it is connected"
+    )
+    names = [
+        f"{name}: {'not known' if one['now'] is None else format(one['now'], 'g')},"
+        f" before {one['former']:g}"
+        for name, one in command["unproven"].items()
+    ]
+    text = f"Gains of an interrupted flight are on the craft; the former ones {back}"
+    return {**_alarm(text), "details": "; ".join(names)}
+
+
+def _alarm(text: str) -> Alarm:
+    return {"level": "alarm", "text": text}
+
+
+def _warning(text: str) -> Alarm:
+    return {"level": "warning", "text": text}
+
+
+# The documentation under Help: the site that ``make docs`` has built, where it is there.
+
+
+SITE = Path(__file__).with_name("site")
+SOURCES = Path(__file__).resolve().parents[2] / "docs"
+"""Of a checkout: what the site is built from, shown as it is where nobody has built it."""
+_NOT_BUILT = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>Help</title>'
+    '<link rel="stylesheet" href="/theme.css"><body><main><h1>Help</h1>'
+    "<p>The documentation was not built with this copy of the program: <code>make docs</code> "
+    "builds it. Every command has <code>--help</code>.</p><ul>PAGES</ul></main></body></html>"
+)
+
+
+def help_route(site: Path = SITE) -> BaseRoute:
+    """What answers below ``/help/``."""
+    if (site / "index.html").is_file():
+        return Mount("/help", _Site(site))
+
+    async def not_built(request: Request) -> Response:
+        sources = {f"{one.stem}.html": one for one in sorted(SOURCES.glob("*.md"))}
+        if source := sources.get(request.path_params["page"]):
+            return PlainTextResponse(source.read_text())
+        pages = "".join(
+            f'<li><a href="/help/{name}">{one.stem}</a></li>' for name, one in sources.items()
+        )
+        return HTMLResponse(_NOT_BUILT.replace("PAGES", pages))
+
+    return Route("/help/{page:path}", not_built)
+
+
+class _Site(StaticFiles):
+    """Files of the site. Of scripts within its pages those run that it was built with."""
+
+    def __init__(self, site: Path) -> None:
+        super().__init__(directory=site, html=True)
+        self._policy = _policy(site)
+
+    def file_response(self, *arguments: Any, **options: Any) -> Response:
+        answer = super().file_response(*arguments, **options)
+        answer.headers["content-security-policy"] = self._policy
+        answer.headers["cache-control"] = "private, max-age=600"
+        return answer
+
+
+def _policy(site: Path) -> str:
+    """No other host, no form; of scripts the site's own alone, those within pages by their hash."""
+    scripts: set[bytes] = set()
+    for page in site.rglob("*.html"):
+        scripts.update(re.findall(rb"<script>(.*?)</script>", page.read_bytes(), re.DOTALL))
+    hashes = sorted(base64.b64encode(hashlib.sha256(one).digest()).decode() for one in scripts)
+    inline = " ".join(f"'sha256-{one}'" for one in hashes)
+    return (
+        f"default-src 'none'; script-src 'self' {inline}; style-src 'self' 'unsafe-inline';"
+        " img-src 'self' data:; connect-src 'self'; worker-src 'self'; base-uri 'none';"
+        " form-action 'none'; frame-ancestors 'none'"
+    )
+
 
 STATIC = Path(__file__).with_name("static")
 BODY_MOST = 1 << 16

@@ -6,7 +6,7 @@ import socket
 import pytest
 
 from groundstation.errors import NotAuthorisedError
-from groundstation.page.access import Access
+from groundstation.page.app import Access
 from groundstation.service.config import PageConfig
 from groundstation.service.page import PageService
 

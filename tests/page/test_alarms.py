@@ -1,6 +1,6 @@
 from copy import deepcopy
 
-from groundstation.page.alarms import alarms
+from groundstation.page.app import alarms
 
 GOOD = {
     "link": {"state": "streaming", "pauses": False, "doing": ""},

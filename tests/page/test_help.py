@@ -9,7 +9,7 @@ import pytest
 import uvicorn
 from starlette.applications import Starlette
 
-from groundstation.page.help import help_route
+from groundstation.page.app import help_route
 from support import ROOT
 from support.programs import free_port, run_program
 from support.waiting import until

@@ -5,8 +5,7 @@ import asyncio
 import msgspec
 import pytest
 
-from groundstation.page.access import Access
-from groundstation.page.app import ACTIONS, page_app
+from groundstation.page.app import ACTIONS, Access, page_app
 from groundstation.service.jobs import Job
 from support.page_requests import PORT, answering, asked, browser
 

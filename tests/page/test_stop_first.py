@@ -5,8 +5,7 @@ import re
 
 import pytest
 
-from groundstation.page.access import Access
-from groundstation.page.app import page_app
+from groundstation.page.app import Access, page_app
 from support.page_requests import HOST, PORT, asked, browser
 from support.waiting import eventually
 

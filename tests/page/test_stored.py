@@ -3,8 +3,7 @@
 import asyncio
 import json
 
-from groundstation.page.access import Access
-from groundstation.page.app import page_app
+from groundstation.page.app import Access, page_app
 from support.crafts import served
 from support.daemons import Daemon
 from support.page_requests import PORT, asked, browser

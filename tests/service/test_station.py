@@ -7,7 +7,7 @@ import pytest
 
 from groundstation.errors import BadInputError, LinkEndedError, LinkError, LinkLostError
 from groundstation.links.base import Link
-from groundstation.page.alarms import alarms
+from groundstation.page.app import alarms
 from groundstation.recording.formats import open_recording
 from groundstation.service import craft_links as receiver_module
 from groundstation.service import overview

@@ -12,7 +12,7 @@ from pathlib import Path
 from socketserver import ThreadingMixIn, UnixStreamServer
 from typing import Any
 
-from groundstation.page.access import Access
+from groundstation.page.app import Access
 
 PORT = 9080
 HOST = f"127.0.0.1:{PORT}"
