@@ -52,10 +52,9 @@ def index(
     """
     from dataclasses import asdict
 
-    from groundstation.fleet.engine import cores
+    from groundstation.fleet.engine import cores, held
     from groundstation.fleet.index import UNFIT, recordings_of, usable
     from groundstation.fleet.index import index as brought_up
-    from groundstation.fleet.parts import held
 
     with shown("looking") as progress, held(output):
         counts = brought_up(
@@ -104,9 +103,8 @@ def fit(
     from dataclasses import asdict
 
     from groundstation.dynamics.registry import DELAY, SPIN_UP
-    from groundstation.fleet.engine import cores
+    from groundstation.fleet.engine import cores, held
     from groundstation.fleet.fit import fit_all
-    from groundstation.fleet.parts import held
 
     always = tuple(key.partition(".")[0] for key in (DELAY, SPIN_UP))
     with shown("looking") as progress, held(catalogue):
@@ -145,8 +143,7 @@ def discrepancy(
     from dataclasses import asdict
 
     from groundstation.cli.flights import model_for
-    from groundstation.fleet.engine import cores
-    from groundstation.fleet.parts import held
+    from groundstation.fleet.engine import cores, held
     from groundstation.fleet.search import effects_table, search_all
 
     loaded = None if model is None else model_for(model, vehicle)
@@ -192,12 +189,10 @@ def report(
     """
     from dataclasses import asdict
 
-    from groundstation.fleet.before_after import parse_date, shifts
-    from groundstation.fleet.findings import findings_of
-    from groundstation.fleet.fit import fits_table
-    from groundstation.fleet.flight_fit import VALUES
+    from groundstation.fleet.findings import findings_of, parse_date, shifts
+    from groundstation.fleet.fit import VALUES, fits_table
     from groundstation.fleet.index import recordings_of, usable
-    from groundstation.fleet.report_sections import to_fly
+    from groundstation.fleet.report import to_fly
     from groundstation.fleet.search import effects_table
 
     if html is not None:

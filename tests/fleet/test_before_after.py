@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInputError
-from groundstation.fleet.before_after import parse_date, shifts
-from groundstation.fleet.findings import Series
+from groundstation.fleet.findings import Series, parse_date, shifts
 
 DATE = "2026-03-01T00:00:00+00:00"
 CRAFTS, FLIGHTS, SCATTER, ERROR = 8, 12, 0.004, 0.002

@@ -9,18 +9,19 @@ from pathlib import Path
 import pytest
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
-from groundstation.fleet.facts import COLUMNS as FACTS
-from groundstation.fleet.facts import KEY, _craft, facts_of
-from groundstation.fleet.flight_fit import fit_flight
-from groundstation.fleet.gather import gathered
+from groundstation.fleet.engine import PART_ROWS, Parts, gathered, held
+from groundstation.fleet.fit import fit_flight
+from groundstation.fleet.index import COLUMNS as FACTS
 from groundstation.fleet.index import (
+    KEY,
+    _craft,
     _deadly,
     addresses_of,
+    facts_of,
     index,
     recordings_of,
     usable,
 )
-from groundstation.fleet.parts import PART_ROWS, Parts, held
 from groundstation.identification.fit_record import silent
 from support.daemons import in_process, require_failure
 from support.programs import run_program

@@ -15,7 +15,7 @@ from bench import fleet_flights
 from groundstation.cli.app import app
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.fleet.craft_search import CraftFlights, search_craft
+from groundstation.fleet.search import CraftFlights, search_craft
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.division import stretches_of
 from groundstation.identification.runs import bridged

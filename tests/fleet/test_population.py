@@ -6,13 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from groundstation.fleet.population import (
-    change_in,
-    discoveries,
-    level,
-    population,
-    scatter_variance,
-)
+from groundstation.fleet.findings import change_in, discoveries, level, population, scatter_variance
 
 SCATTER, ERROR = 0.02, 0.01
 
