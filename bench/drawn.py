@@ -29,10 +29,9 @@ from firmware_sim.settings import parse_settings
 from groundstation.control.step_analysis import Flown
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, Vehicle
-from groundstation.learn.found import named_effects, read_found
-from groundstation.learn.gains import axis_of, missed
-from groundstation.learn.journal import journal_in
-from groundstation.learn.outcome import outcome_of
+from groundstation.learn.planning import journal_in
+from groundstation.learn.report import outcome_of
+from groundstation.learn.story import axis_of, missed, named_effects, read_found
 
 CRAFTS = ("crazyflie21", "brushless")
 MASS, INERTIA, MOTOR, THRUST = (0.9, 1.2), (0.9, 1.15), (0.92, 1.08), (0.93, 1.07)

@@ -16,9 +16,16 @@ import numpy as np
 
 from groundstation.cli.learn_flights import SOFTWARE, Place
 from groundstation.dynamics.model import load_model
-from groundstation.learn.information import Information, choose
-from groundstation.learn.manoeuvres import BODY, HOVER, PROOF, Limits, library
-from groundstation.learn.planning import rehearsed
+from groundstation.learn.planning import (
+    BODY,
+    HOVER,
+    PROOF,
+    Information,
+    Limits,
+    choose,
+    library,
+    rehearsed,
+)
 from groundstation.learn.story import BODY_MODEL, DESIGNED_S
 
 FIXED = (*HOVER, *BODY, *PROOF)

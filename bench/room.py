@@ -162,16 +162,8 @@ def _changed(control: Path, seed: int) -> dict[str, float]:
 
 def _plan(flight: str, seed: int) -> Any:
     """The same that ``learn`` flies; of what it would plan, manoeuvres at random."""
-    from groundstation.learn.gains import step_flight
-    from groundstation.learn.manoeuvres import (
-        BODY,
-        HOVER,
-        PROOF,
-        REST_S,
-        Limits,
-        flight_of,
-        library,
-    )
+    from groundstation.learn.planning import BODY, HOVER, PROOF, REST_S, Limits, flight_of, library
+    from groundstation.learn.story import step_flight
 
     limits = Limits(reach_m=REACH_M, height_m=HEIGHT_M)
     if flight in ("before", "after"):

@@ -23,7 +23,7 @@ from groundstation.cli.terminal import say
 from groundstation.service.client import ask
 
 if TYPE_CHECKING:
-    from groundstation.learn.journal import Craft
+    from groundstation.learn.planning import Craft
 
 BY_OPERATOR = "the operator "
 """How the daemon's note of a Stop or a Land begins."""
@@ -57,7 +57,7 @@ def commanded(client: str, stops: int | None = None, craft: Craft | None = None)
     Raises GroundStationError where the motors were stopped since, BadInputError where it is another
     craft than ``craft``.
     """
-    from groundstation.learn import journal
+    from groundstation.learn import planning as journal
 
     with Pilot(socket_path(), client, stops) as pilot:
         now = journal.Craft(**pilot.lease["craft"])

@@ -18,8 +18,7 @@ from groundstation.cli.terminal import require_yes, show, show_json
 
 if TYPE_CHECKING:
     from groundstation.cli.learn_flights import DaemonPlace, Place
-    from groundstation.learn.journal import Journal, Task
-    from groundstation.learn.manoeuvres import Limits
+    from groundstation.learn.planning import Journal, Limits, Task
     from groundstation.shell import Shell
 
 Told = Callable[[str], None]
@@ -68,7 +67,7 @@ def learn(
     Example: [bold]groundstation learn --link software:crazyflie21 --hide 1[/bold]
     """
     from groundstation.cli.learn_flights import SOFTWARE
-    from groundstation.learn.journal import journal_in
+    from groundstation.learn.planning import journal_in
 
     own_terminal()
     if not link.startswith(SOFTWARE) and link != "daemon":
@@ -168,7 +167,7 @@ def plan(
 
 
 def _limits(height: float, space: str) -> Limits:
-    from groundstation.learn.manoeuvres import Limits, require_limits
+    from groundstation.learn.planning import Limits, require_limits
 
     try:
         width, depth = (float(side) for side in space.lower().split("x"))
@@ -180,7 +179,7 @@ def _limits(height: float, space: str) -> Limits:
 
 
 def _task(link: str, limits: Limits, seed: int, batteries: int, hide: int | None) -> Task:
-    from groundstation.learn.journal import Task
+    from groundstation.learn.planning import Task
 
     return Task(
         link=link,
@@ -198,7 +197,7 @@ def _begun(journal: Journal | None, asked: Task, output: Path) -> Journal:
     where it was begun otherwise."""
     import msgspec
 
-    from groundstation.learn.journal import Journal
+    from groundstation.learn.planning import Journal
 
     if journal is None:
         return Journal(task=asked)
@@ -340,8 +339,7 @@ def _share(journal: Journal, limits: Limits) -> float:
 
 
 def _report(journal: Journal, folder: Path, as_json: bool, told: Told) -> None:
-    from groundstation.learn.outcome import outcome_of
-    from groundstation.learn.report import REPORT, report_page
+    from groundstation.learn.report import REPORT, outcome_of, report_page
 
     outcome = outcome_of(journal, folder)
     (folder / REPORT).unlink(missing_ok=True)

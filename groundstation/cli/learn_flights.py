@@ -28,7 +28,7 @@ from groundstation.cli.learn_take_off import await_battery, await_take_off
 from groundstation.cli.stored_gains import clear_gains, require_storing, store_gains
 from groundstation.cli.terminal import say
 from groundstation.control.programme import BY_HAND
-from groundstation.learn.journal import Craft, Flown
+from groundstation.learn.planning import Craft, Flown
 from groundstation.paths import written_whole
 from groundstation.service.lease import BY_OPERATOR, LANDED_BY_OPERATOR
 

@@ -3,49 +3,254 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from groundstation.control.design import RMS, Budget, cascade_limits, closest_cascade
 from groundstation.control.firmware_loop import gains_text, load_gains
 from groundstation.control.firmwares import firmware_of_vehicle
-from groundstation.control.programme import AWAY, BEGINS, BY_HAND, FAST, LANDS, TILTED, TURNED
-from groundstation.discrepancy.report_json import DiscrepancyReport
-from groundstation.documents import read_document
-from groundstation.dynamics.model import Model, load_model, model_vehicle
-from groundstation.errors import BadInputError, GroundStationError
-from groundstation.learn.found import found_line, known_errors, open_names, read_found
-from groundstation.learn.gains import (
-    AFTER,
-    BEFORE,
-    axis_of,
-    designed_gains,
-    flown_steps,
-    mean_missed,
-    of_better_axes,
-    step_flight,
-    told_overshoots,
+from groundstation.control.programme import (
+    AWAY,
+    BEGINS,
+    BY_HAND,
+    FAST,
+    LANDS,
+    TILTED,
+    TURNED,
+    Programme,
 )
-from groundstation.learn.journal import Journal, Landed
-from groundstation.learn.manoeuvres import (
+from groundstation.control.step_analysis import Flown, FlownAxis, analyse_recording
+from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound, PossibleEffect
+from groundstation.documents import decode_json, read_document
+from groundstation.dynamics.effect import to_point
+from groundstation.dynamics.model import Model, load_model, model_vehicle
+from groundstation.dynamics.registry import EFFECTS
+from groundstation.errors import BadInputError, GroundStationError
+from groundstation.identification.likelihood.motion import KEYS
+from groundstation.learn.planning import (
     BODY,
     HOVER,
     LANDING_S,
     PREFLIGHT_S,
     PROOF,
     TAKE_OFF_S,
+    Journal,
+    Landed,
     Limits,
+    Pilot,
+    Planned,
     flight_of,
+    plan_flight,
 )
-from groundstation.learn.planning import Pilot, Planned, plan_flight
 from groundstation.paths import write_whole
 from groundstation.recording.formats import open_for_analysis
 from groundstation.shell import Shell
 from groundstation.telemetry.arrays import AXES
 from groundstation.text import listed
+
+# What a search found, as names and in words: what is worth a name, and what is still open.
+
+
+WORTH = 0.1
+"""Of the size worth finding: what is smaller in every number is told, and not named."""
+
+
+def read_found(path: Path) -> DiscrepancyReport:
+    """The findings in a file. Raises BadInputError."""
+    try:
+        return decode_json(read_document(path), DiscrepancyReport)
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"{path}: cannot be read ({error}); remove it") from error
+
+
+def named_effects(found: DiscrepancyReport) -> list[EffectFound]:
+    """Effects that were found and are worth a name."""
+    return [one for one in found.effects if not _corrects(one) and _size(one) >= WORTH]
+
+
+def _corrects(found: EffectFound) -> bool:
+    """Whether it only says anew a constant of the model, which was fitted to this very craft."""
+    return found.name in EFFECTS and EFFECTS[found.name].renames is not None
+
+
+def _size(found: EffectFound | PossibleEffect) -> float:
+    """The largest of an effect's sizes, over the one worth finding; a user's own always counts."""
+    if found.name not in EFFECTS:
+        return np.inf
+    point = to_point(EFFECTS[found.name], {k: one.value for k, one in found.parameters.items()})
+    return max(
+        abs(value - KEYS[key].absent) / KEYS[key].worth
+        for key, value in point.items()
+        if KEYS[key].parameter.kind == "size"
+    )
+
+
+def open_names(found: DiscrepancyReport) -> dict[str, list[str]]:
+    """Names with others that explain as much, and what is only possible and worth a name."""
+    rivals = {one.name: one.alternatives for one in named_effects(found) if one.alternatives}
+    rivals |= {one.name: one.alternatives for one in found.possible if _size(one) >= WORTH}
+    return {name: [other.name for other in others] for name, others in rivals.items()}
+
+
+def open_words(found: DiscrepancyReport) -> list[str]:
+    """The same in words."""
+    possible = {one.name for one in found.possible}
+    words = []
+    for name, others in open_names(found).items():
+        could = f"could also be {' or '.join(others)}" if others else ""
+        maybe = "is possible, not sure" if name in possible else ""
+        words.append(f"{name} {' and '.join(part for part in (maybe, could) if part)}")
+    return words
+
+
+def known_errors(found: DiscrepancyReport) -> dict[str, float]:
+    """What flights say already of effects' sizes, by key: of those that are open nothing."""
+    open_ones = {name for pair in open_names(found).items() for name in (pair[0], *pair[1])}
+    weak = {f"{one.name}.{one.parameter}": one.stderr or np.inf for one in found.not_shown}
+    known = {}
+    for key, one in KEYS.items():
+        if one.effect.name not in open_ones:
+            known[key] = min(weak.get(key, one.worth / 10.0), one.worth) or 1.0
+    return known
+
+
+def found_line(found: DiscrepancyReport) -> str:
+    named = (
+        "; ".join(said_effect(one.name, one.parameters) for one in named_effects(found))
+        or "nothing"
+    )
+    gap = found.gap.validation
+    after = gap.before if gap.after is None else gap.after
+    corrected = [one for one in found.effects if _corrects(one)]
+    hardly = sorted(
+        {one.name for one in found.effects}
+        - {one.name for one in (*corrected, *named_effects(found))}
+    )
+    told = f"named: {named}; on the proof flight predictions miss by {gap.before:.2f} times the"
+    told += f" noise before and {after:.2f} times after"
+    for one in corrected:
+        told += f"; the fit's constants are corrected by {said_effect(one.name, one.parameters)}"
+    if hardly:
+        told += f"; {', '.join(hardly)} too small to be named"
+    for words in open_words(found):
+        told += f"; {words}"
+    return told
+
+
+def said_effect(name: str, parameters: Mapping[str, Any]) -> str:
+    """An effect with its numbers: 'dead_time delay_s 0.0041 ± 0.0001 s'."""
+    parts = []
+    for key, one in parameters.items():
+        unit = EFFECTS[name].parameter(key).unit if name in EFFECTS else one.unit
+        spread = "" if one.stderr is None else f" ± {one.stderr:.2g}"
+        parts.append(f"{key} {one.value:.4g}{spread} {unit}".rstrip())
+    return f"{name} ({', '.join(parts)})"
+
+
+# Gains for the model that was found, and what steps that were flown say of them.
+
+
+CLIENT = "learn"
+OVERSHOOT_MORE = 5.0
+"""Points of a step by which an axis may overshoot more than with the gains before."""
+BUDGET = Budget(first=120, population=16, generations=20)
+ANGLE_DEG, HOLD_S, REPEATS = 10.0, 0.7, 2
+BEFORE, AFTER = "steps_before.mcap", "steps_after{}.mcap"
+"""Flights of steps: with the gains before, and with new ones, numbered from 1."""
+
+
+class StepFlight(Programme):
+    """Doublets of every axis, with what the journal wants to know."""
+
+    purpose = "doublets, to see how the gains follow"
+
+    @property
+    def seconds(self) -> float:
+        return self.held_seconds
+
+    def timeline(self) -> list[dict[str, Any]]:
+        fly = f"{self.repeats} doublets an axis"
+        return [{"at_s": 0.0, "seconds": self.seconds, "fly": fly}]
+
+
+def step_flight(limits: Limits) -> StepFlight:
+    """The same for all gains of a craft."""
+    return StepFlight(angle_deg=limits.lean(ANGLE_DEG, HOLD_S), hold_s=HOLD_S, repeats=REPEATS)
+
+
+def designed_gains(model: Model) -> dict[str, float]:
+    """Of each axis the gains that follow a step the closest within the limits of ``pid design``.
+
+    An axis keeps its stock gains where by the model they follow as closely. Raises BadInputError
+    where every axis does.
+    """
+    found: dict[str, float] = {}
+    faults = []
+    for axis in AXES:
+        try:
+            gains, judged, stock = closest_cascade(model, axis, cascade_limits(), budget=BUDGET)
+        except BadInputError as error:
+            faults.append(str(error))
+            continue
+        found |= gains if judged[RMS] < stock[RMS] else {}
+    if not found:
+        raise BadInputError(
+            "; ".join(faults) or "by the model the stock gains follow steps best on every axis"
+        )
+    return found
+
+
+def flown_steps(folder: Path, flight: Landed, model: Model) -> Flown:
+    """The doublets of a flight, measured, and as a model predicts them."""
+    return analyse_recording(open_for_analysis(folder / flight.file), model, flight.gains, CLIENT)
+
+
+def missed(axis: FlownAxis) -> float:
+    """RMS of an axis's steps as a share of their size."""
+    return axis.measured.rms / axis.step
+
+
+def mean_missed(flown: Flown) -> float:
+    """The same, mean of the axes."""
+    return float(np.mean([missed(one) for one in flown.axes]))
+
+
+def of_better_axes(gains: dict[str, float], before: Flown, after: Flown) -> dict[str, float]:
+    """The gains of those axes that followed their steps more closely with them, and overshot them
+    by no more than ``OVERSHOOT_MORE`` points more."""
+    axes = zip(before.axes, after.axes, strict=True)
+    better = {
+        new.axis
+        for old, new in axes
+        if missed(new) < missed(old) and overshoots_more(old, new) <= OVERSHOOT_MORE
+    }
+    return {name: value for name, value in gains.items() if axis_of(name) in better}
+
+
+def overshoots_more(before: FlownAxis, after: FlownAxis) -> float:
+    """By how many points of the step."""
+    return after.measured.overshoot_pct - before.measured.overshoot_pct
+
+
+def told_overshoots(before: Flown, after: Flown) -> str:
+    """Of every axis before and after, in words, with what the model predicted."""
+    parts = []
+    for old, new in zip(before.axes, after.axes, strict=True):
+        says = "" if new.predicted is None else f" ({new.predicted.overshoot_pct:.0f} predicted)"
+        parts.append(
+            f"{new.axis} {old.measured.overshoot_pct:.0f} to {new.measured.overshoot_pct:.0f}{says}"
+        )
+    return f"overshoot in %: {', '.join(parts)}"
+
+
+def axis_of(gain: str) -> str:
+    """Of a parameter's name: 'roll' of 'pid_rate.roll_kp'."""
+    return gain.partition(".")[2].partition("_")[0]
+
 
 BATTERY_S = 300.0
 """In the air on one battery: the firmware lands a Crazyflie after some 6 to 7 minutes."""

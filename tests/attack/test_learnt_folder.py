@@ -9,10 +9,16 @@ import pytest
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.learn.found import read_found
-from groundstation.learn.journal import JOURNAL, Journal, Task, journal_in
-from groundstation.learn.manoeuvres import Limits, flight_of
-from groundstation.learn.planning import Planned
+from groundstation.learn.planning import (
+    JOURNAL,
+    Journal,
+    Limits,
+    Planned,
+    Task,
+    flight_of,
+    journal_in,
+)
+from groundstation.learn.story import read_found
 from groundstation.paths import write_whole, written_whole
 from groundstation.shell import LOG, SCRIPT, Shell
 from support.daemons import in_process, require_failure

@@ -6,7 +6,7 @@ from groundstation.cli.flights import FILTER, read_flights, with_filter
 from groundstation.cli.learn_flights import FastPlace
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.learn.manoeuvres import HOVER, Limits, flight_of
+from groundstation.learn.planning import HOVER, Limits, flight_of
 
 
 def flown(tmp_path, plant):

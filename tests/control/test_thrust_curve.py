@@ -10,7 +10,7 @@ from groundstation.cli.learn_flights import FastPlace
 from groundstation.control.firmwares import PLATFORMS, firmware_of_model, flown_curve
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.learn.manoeuvres import HOVER, Limits, flight_of
+from groundstation.learn.planning import HOVER, Limits, flight_of
 from groundstation.recording.formats import open_for_analysis
 
 

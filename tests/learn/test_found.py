@@ -5,7 +5,7 @@ import pytest
 
 from groundstation.discrepancy.proof import NotShown
 from groundstation.identification.likelihood.motion import KEYS
-from groundstation.learn.found import found_line, known_errors, named_effects, read_found
+from groundstation.learn.story import found_line, known_errors, named_effects, read_found
 from support.findings import NAME, findings, proof, report
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from groundstation.control.metrics import StepMetrics
 from groundstation.control.step_analysis import Flown, FlownAxis
-from groundstation.learn.gains import of_better_axes, told_overshoots
+from groundstation.learn.story import of_better_axes, told_overshoots
 
 GAINS = {"pid_rate.roll_kp": 300.0, "pid_attitude.roll_kp": 7.0, "pid_rate.yaw_kp": 150.0}
 

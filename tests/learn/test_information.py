@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.learn.information import Information, choose
+from groundstation.learn.planning import Information, choose
 
 SECONDS = {"roll": 6.0, "yaw": 6.0, "both": 12.0}
 

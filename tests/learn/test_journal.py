@@ -3,7 +3,7 @@
 import pytest
 
 from groundstation.errors import BadInputError
-from groundstation.learn.journal import JOURNAL, Journal, Landed, Task, journal_in
+from groundstation.learn.planning import JOURNAL, Journal, Landed, Task, journal_in
 
 TASK = Task(
     link="software:crazyflie21",

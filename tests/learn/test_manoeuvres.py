@@ -7,7 +7,7 @@ import pytest
 
 from groundstation.control.programme import AHEAD_S, GRAVITY, NEAR_M, stands_again
 from groundstation.errors import BadInputError
-from groundstation.learn.manoeuvres import (
+from groundstation.learn.planning import (
     BODY,
     HOVER,
     PROOF,

@@ -9,7 +9,7 @@ from groundstation.cli.height_flight import Room, fly_by_height
 from groundstation.cli.interrupts import Interrupts
 from groundstation.cli.learn_flights import CLIENT, FastPlace
 from groundstation.errors import BadInputError
-from groundstation.learn.manoeuvres import FlightPlan, Limits, library
+from groundstation.learn.planning import FlightPlan, Limits, library
 from groundstation.links.software_craft import SoftwareCraft
 from groundstation.recording.formats import open_recording
 
