@@ -12,7 +12,7 @@ from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
-    from groundstation.thesis.entry import Entry
+    from groundstation.thesis.workshop import Entry
 
 PAGE = "index.html"
 
@@ -38,9 +38,8 @@ def thesis(
     Example: [bold]groundstation thesis --only 7.3 --only 8.5 -o some[/bold]
     """
     from groundstation.shell import Shell
-    from groundstation.thesis.catalogue import chosen, make
-    from groundstation.thesis.page import as_json as whole
-    from groundstation.thesis.page import page
+    from groundstation.thesis.catalogue import as_json as whole
+    from groundstation.thesis.catalogue import chosen, make, page
     from groundstation.thesis.workshop import Workshop, inputs
 
     entries = chosen(only or [])

@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
 from groundstation.thesis.catalogue import ENTRIES, chosen
-from groundstation.thesis.printed import WITHOUT
-from groundstation.thesis.workshop import RECIPES, chain, inputs
+from groundstation.thesis.workshop import RECIPES, WITHOUT, chain, inputs
 from support import ROOT
 
 FIGURES = {1: 14, 2: 2, 3: 8, 4: 15, 5: 7, 6: 5, 7: 56, 8: 18}
