@@ -131,7 +131,7 @@ def fly_case(case: str, flights: Sequence[str]) -> None:
 
 
 def _one(flight: str, seed: int, folder: Path, control: Path, truth: Connection) -> dict[str, Any]:
-    from groundstation.cli.craft_flight import stops_begun
+    from groundstation.cli.flying import stops_begun
     from groundstation.cli.learn_flights import DaemonPlace
 
     try:

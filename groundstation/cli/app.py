@@ -7,8 +7,7 @@ from importlib import import_module
 import typer
 
 from groundstation import __version__
-from groundstation.cli.command_group import Commands, Root
-from groundstation.cli.terminal import show
+from groundstation.cli.terminal import Commands, Root, show
 
 COMMANDS = (
     "run",
@@ -17,7 +16,6 @@ COMMANDS = (
     "devices",
     "fit",
     "simulate",
-    "compare",
     "discrepancy",
     "pid",
     "bench",

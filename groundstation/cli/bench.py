@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation import Pilot, socket_path
-from groundstation.cli.command_group import Commands
-from groundstation.cli.commanding import (
+from groundstation.cli.flying import (
+    Changes,
+    SetpointClock,
     await_connection,
+    commanded,
+    fly_recorded,
     require_consent,
     require_ended,
     require_ready,
+    stopped_after,
+    stops_begun,
 )
-from groundstation.cli.craft_flight import Changes, commanded, fly_recorded, stops_begun
 from groundstation.cli.model_files import AS_JSON
-from groundstation.cli.motors_off import stopped_after
-from groundstation.cli.setpoint_clock import SetpointClock
-from groundstation.cli.terminal import say, show, show_json
+from groundstation.cli.terminal import Commands, say, show, show_json
 
 if TYPE_CHECKING:
     from groundstation.control.programme import ThrustProfile

@@ -1,4 +1,4 @@
-"""Commands that talk to a running daemon."""
+"""Commands that talk to a running daemon, its motors and its page."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation import Client, socket_path
-from groundstation.cli.command_group import Commands
-from groundstation.cli.config import add_commands as add_config
-from groundstation.cli.model_files import AS_JSON
-from groundstation.cli.motors import add_commands as add_motors
-from groundstation.cli.page import add_commands as add_page
-from groundstation.cli.progress import own_terminal
-from groundstation.cli.terminal import show, show_json
+from groundstation import Client, GroundStationError, socket_path
+from groundstation.cli.model_files import AS_JSON, add_config
+from groundstation.cli.terminal import Commands, own_terminal, require_yes, show, show_json
+from groundstation.links.command import is_software
 from groundstation.links.factory import KINDS
 from groundstation.service.client import ask
+from groundstation.service.lease import LANDED, STOPPED
 from groundstation.text import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+# Commands that talk to a running daemon.
+
 
 WATCH_S = 0.5
 
@@ -237,3 +237,124 @@ def _duration(seconds: float) -> str:
         if days
         else (f"{hour}:{minute:02d}:{second:02d}" if hour else f"{minute}:{second:02d} min")
     )
+
+
+# ``motors``: what an operator may do to the motors, whoever commands.
+
+
+motors = Commands(
+    help=(
+        "Land the craft that the running daemon commands, stop, arm or disarm its motors, or let it"
+        " recover from a crash."
+        "\n\nExample: [bold]groundstation motors stop[/bold]"
+    ),
+    no_args_is_help=True,
+)
+
+
+def add_motors(app: typer.Typer) -> None:
+    app.add_typer(motors, name="motors")
+
+
+@motors.command("stop")
+def stop(as_json: bool = AS_JSON) -> None:
+    """Stop the motors immediately, whoever is flying. A craft in the air falls.
+
+    Every program that was started before loses control, and learn ends. Fails if the telemetry
+    does not confirm within 3 s that the motors stand.
+
+    Example: [bold]groundstation motors stop[/bold]
+    """
+    _end("stop", (STOPPED,), as_json)
+
+
+@motors.command("land")
+def land(as_json: bool = AS_JSON) -> None:
+    """Land the craft, whoever is flying, and stop its motors on the ground.
+
+    Every program that was started before loses control, and learn ends. Takes up to 6 s. Needs a
+    craft that holds its height. One that does not fly is said to be stopped. Fails if the telemetry
+    does not confirm it.
+
+    Example: [bold]groundstation motors land[/bold]
+    """
+    _end("land", (LANDED, STOPPED), as_json)
+
+
+@motors.command("arm")
+def arm(
+    yes: bool = typer.Option(False, "--yes", help="Do not ask before a real craft is armed."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Arm the motors of a craft that needs it, and wait for its answer.
+
+    The motors of a Brushless idle as soon as they are armed. Firmware of 2014 knows no arming, and
+    a Crazyflie 2.1 arms itself.
+
+    Example: [bold]groundstation motors arm[/bold]
+    """
+    command = ask(socket_path(), "GET", "/status")["command"]
+    if command is not None and not is_software(command["uri"]) and not yes:
+        question = f"{command['uri']}: clear of people, propellers may turn; arm its motors?"
+        require_yes(question, "not armed")
+    ask(socket_path(), "POST", "/command/arm", {"on": True})
+    _state("armed", as_json)
+
+
+@motors.command("disarm")
+def disarm(as_json: bool = AS_JSON) -> None:
+    """Disarm the motors, whoever commands, and wait for the craft's answer.
+
+    Example: [bold]groundstation motors disarm[/bold]
+    """
+    ask(socket_path(), "POST", "/command/arm", {"on": False})
+    _state("disarmed", as_json)
+
+
+@motors.command("recover")
+def recover(as_json: bool = AS_JSON) -> None:
+    """Let a craft that calls itself crashed be ready again, once it stands upright.
+
+    Example: [bold]groundstation motors recover[/bold]
+    """
+    ask(socket_path(), "POST", "/command/recover")
+    _state("recovered", as_json)
+
+
+def _end(how: str, done: tuple[str, ...], as_json: bool) -> None:
+    """Ask for the end of whatever flies. Raises GroundStationError unless it is one of ``done``."""
+    answer = ask(socket_path(), "POST", f"/command/{how}")
+    motors, ended = answer["motors"], answer["ended"]
+    more = "".join(f"; {kind} was ended" for kind in ended) + "; nobody is in control now"
+    if motors not in done:
+        raise GroundStationError(motors + more)
+    if as_json:
+        show_json({"motors": motors, "ended": ended})
+    else:
+        show(motors + more)
+
+
+def _state(state: str, as_json: bool) -> None:
+    if as_json:
+        show_json({"motors": state})
+    else:
+        show(state)
+
+
+# ``groundstation page``: another address of the running daemon's page.
+
+
+def add_page(app: typer.Typer) -> None:
+    app.command("page")(page)
+
+
+def page(as_json: bool = AS_JSON) -> None:
+    """A new address of the operator's page: it lets one browser in.
+
+    Example: [bold]groundstation page[/bold]
+    """
+    answer = ask(socket_path(), "POST", "/page/address")
+    if as_json:
+        show_json(answer)
+    else:
+        show(answer["url"])

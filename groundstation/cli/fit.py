@@ -12,8 +12,6 @@ import typer
 
 import groundstation
 from groundstation import BadInputError
-from groundstation.cli.command_group import Commands
-from groundstation.cli.flights import require_apart
 from groundstation.cli.model_files import (
     AS_JSON,
     HTML,
@@ -24,13 +22,13 @@ from groundstation.cli.model_files import (
     model_before,
     motor_runs_in,
     open_one,
+    require_apart,
     require_new,
     runs_in,
     say_written,
     with_reasons,
 )
-from groundstation.cli.progress import shown, tell_found
-from groundstation.cli.terminal import show, show_json
+from groundstation.cli.terminal import Commands, show, show_json, shown, tell_found
 from groundstation.paths import digest
 
 if TYPE_CHECKING:

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import typer
 
-from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON, HTML, effect_names, require_new, say_written
-from groundstation.cli.progress import shown
-from groundstation.cli.terminal import show, show_json
+from groundstation.cli.terminal import Commands, show, show_json, shown
 
 WORKERS = typer.Option(
     None, "--workers", min=1, help="Processes (default: one a core); 1 is this one alone."
@@ -142,7 +140,7 @@ def discrepancy(
     """
     from dataclasses import asdict
 
-    from groundstation.cli.flights import model_for
+    from groundstation.cli.model_files import model_for
     from groundstation.fleet.engine import cores, held
     from groundstation.fleet.search import effects_table, search_all
 

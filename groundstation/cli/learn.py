@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation import BadInputError, GroundStationError
+from groundstation.cli.flying import STORE
 from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
-from groundstation.cli.progress import own_terminal, shown, tell_found
-from groundstation.cli.stored_gains import STORE
-from groundstation.cli.terminal import require_yes, show, show_json
+from groundstation.cli.terminal import own_terminal, require_yes, show, show_json, shown, tell_found
 
 if TYPE_CHECKING:
     from groundstation.cli.learn_flights import DaemonPlace, Place
@@ -222,8 +221,7 @@ def _begun(journal: Journal | None, asked: Task, output: Path) -> Journal:
 def _daemon_place(journal: Journal, told: Told) -> DaemonPlace:
     """For the daemon's craft, as often as nobody presses Stop."""
     from groundstation import socket_path
-    from groundstation.cli.commanding import await_connection
-    from groundstation.cli.craft_flight import stops_begun
+    from groundstation.cli.flying import await_connection, stops_begun
     from groundstation.cli.learn_flights import DaemonPlace
 
     path = socket_path()

@@ -1,39 +1,136 @@
-"""Flights of ``learn``: the software craft in fast time, or the daemon's craft."""
+"""Flights of ``learn``: on the software craft in fast time, or on the daemon's craft."""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+import tempfile
+import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from groundstation import BadInputError, GroundStationError, Pilot, socket_path
-from groundstation.cli.commanding import (
+import numpy as np
+
+from groundstation import BadInputError, GroundStationError, Pilot, load_model, socket_path
+from groundstation.cli.flying import (
+    LOOK_S,
+    Changes,
+    Flyable,
+    Interrupts,
+    Room,
     await_connection,
+    clear_gains,
+    commanded,
+    fly_by_height,
+    fly_recorded,
+    require_calm,
     require_height,
     require_place,
     require_ready,
-)
-from groundstation.cli.craft_flight import (
-    Changes,
-    commanded,
-    fly_recorded,
-    require_calm,
+    require_storing,
+    store_gains,
     write_parameters,
 )
-from groundstation.cli.height_flight import Flyable, Room, fly_by_height
-from groundstation.cli.interrupts import Interrupts
-from groundstation.cli.learn_take_off import await_battery, await_take_off
-from groundstation.cli.stored_gains import clear_gains, require_storing, store_gains
 from groundstation.cli.terminal import say
-from groundstation.control.programme import BY_HAND
+from groundstation.control.programme import BY_HAND, Standing, trouble_of
+from groundstation.control.step_analysis import analyse_recording
 from groundstation.learn.planning import Craft, Flown
+from groundstation.links.command import NOT_ARMED, PLACE
 from groundstation.paths import written_whole
+from groundstation.recording.formats import open_for_analysis
 from groundstation.service.lease import BY_OPERATOR, LANDED_BY_OPERATOR
 
 if TYPE_CHECKING:
+    from groundstation.control.step_analysis import Flown as FlownSteps
     from groundstation.links.software_craft import SoftwareCraft
+    from groundstation.recording.session import Recording
+
+# Before each take-off of ``learn``: a craft that stands, a full battery, a countdown.
+
+
+WAIT_S = 600.0
+"""How long a craft that stands, or a full battery, is waited for."""
+COUNTDOWN_S = 10
+"""From the announcement to the take-off: enough to step back, or to press Stop."""
+FULL_V, CLEAR_S = 4.0, 15.0
+"""A full cell at rest, and how long the craft must stand still: whoever changed it needs time to
+step back."""
+
+
+def await_take_off(pilot: Pilot, flight: str, told: Callable[[str], None]) -> float:
+    """Wait for a craft that stands still, level and on the floor, count down, and give its own
+    height there, m. Raises GroundStationError where none stands within ``WAIT_S``.
+
+    told: given each reason to wait once, and the countdown.
+    """
+    deadline, said = time.monotonic() + WAIT_S, set[str]()
+    while True:
+        _await_standing(pilot, deadline, said, told)
+        told(f"{flight}: take-off in {COUNTDOWN_S} s. Ctrl-C cancels.")
+        pilot.announce(f"learn: take-off for {flight}", COUNTDOWN_S)
+        until = time.monotonic() + COUNTDOWN_S
+        while time.monotonic() < until:
+            answer = pilot.setpoint(0.0, 0.0, 0.0, 0)
+            if trouble_of(answer):
+                pilot.announce("take-off cancelled", 0.0)
+                told("take-off cancelled: the craft does not stand still any more")
+                break
+            time.sleep(LOOK_S)
+        else:
+            return float(answer["height_m"] or 0.0)
+
+
+def _await_standing(
+    pilot: Pilot, deadline: float, said: set[str], told: Callable[[str], None]
+) -> None:
+    standing = Standing()
+    while not standing.look(time.monotonic(), pilot.setpoint(0.0, 0.0, 0.0, 0)):
+        why = standing.trouble
+        kind = why.partition("(")[0].partition(" by ")[0]
+        if why and kind not in said:
+            said.add(kind)
+            told(f"waiting for the craft: {why}")
+        if time.monotonic() > deadline:
+            raise GroundStationError(
+                f"the craft did not stand ready within {WAIT_S / 60:.0f} min"
+                f"{': ' + why if why else ''}; the same command goes on"
+            )
+        time.sleep(LOOK_S)
+
+
+def await_battery(
+    commanded: Callable[[], AbstractContextManager[Pilot]], require_calm: Callable[[], None]
+) -> None:
+    """Wait for a craft with a full battery that stands still. Raises GroundStationError where none
+    comes within ``WAIT_S``, or as ``require_calm`` does.
+
+    commanded: the lease on the craft, anew each time, for it is switched off meanwhile.
+    """
+    still = time.monotonic()
+    deadline = still + WAIT_S
+    while time.monotonic() - still < CLEAR_S:
+        require_calm()
+        full = False
+        with contextlib.suppress(GroundStationError), commanded() as pilot:
+            telemetry = require_ready(pilot, needs_battery=True, may_be_disarmed=True)
+            stands = trouble_of(pilot.setpoint(0.0, 0.0, 0.0, 0)) in ("", NOT_ARMED)
+            full = telemetry["battery_v"] >= FULL_V and stands
+        if not full:
+            still = time.monotonic()
+        if time.monotonic() > deadline:
+            raise GroundStationError(
+                f"no craft with a battery of {FULL_V:g} V and more that stood still for"
+                f" {CLEAR_S:g} s came within {WAIT_S / 60:.0f} min; put a full one in, and"
+                " the same command goes on"
+            )
+        time.sleep(1.0)
+
+
+# Flights of ``learn``: the software craft in fast time, or the daemon's craft.
+
 
 CLIENT = "learn"
 SOFTWARE = "software:"
@@ -233,3 +330,52 @@ def _copied(recording: Path, file: Path) -> None:
         raise GroundStationError(
             f"{file}: cannot be written: {error.strerror}; the flight is in {recording}"
         ) from error
+
+
+# A programme with its gains on the software craft with an identified model, before a real craft
+# flies it: its trims, its drift and its thrust curve are the craft's.
+
+
+SEED = 1
+"""Of the noise that it flies in."""
+
+
+def rehearse(
+    programme: Flyable,
+    gains: Mapping[str, float],
+    model: str,
+    height_m: float,
+    reach_m: float,
+    measures: bool,
+) -> tuple[dict[str, Any], FlownSteps | None]:
+    """What became of it: seconds, how far it went, how fast, how it leaned; and its steps.
+
+    gains: over the stock ones. measures: whether its steps are measured as well. Raises
+    GroundStationError where it did not stay in its room, or did not fly at all.
+    """
+    loaded = load_model(model)
+    place = FastPlace(loaded.vehicle, height_m, reach_m, model)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "rehearsal.mcap"
+        flown = place.fly(programme, file, seed=SEED, gains=gains)
+        if flown.aborted:
+            raise GroundStationError(
+                f"rehearsed in software: the model does not fly this to its end: {flown.aborted};"
+                " no craft was touched"
+            )
+        recording = open_for_analysis(file)
+        steps = None
+        if measures:
+            with contextlib.suppress(BadInputError):  # where it was brought back in its steps
+                steps = analyse_recording(recording, loaded, flown.gains, CLIENT)
+    return {"seconds": flown.seconds, **_room_of(recording)}, steps
+
+
+def _room_of(recording: Recording) -> dict[str, float]:
+    table = next(iter(recording.tables.values()))
+    x, y, _, vx, vy, _ = (np.asarray(table.columns[name], np.float64) for name in PLACE)
+    return {
+        "farthest_m": float(np.hypot(x, y).max()),
+        "top_m_s": float(np.hypot(vx, vy).max()),
+        "lean_deg": float(np.degrees(np.abs(recording.samples.attitude[:, :2]).max())),
+    }

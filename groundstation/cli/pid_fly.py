@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from groundstation import BadInputError, Pilot, socket_path
-from groundstation.cli.commanding import (
+from groundstation.cli.flying import (
+    STORE,
     await_connection,
+    clear_gains,
     require_consent,
     require_ended,
     require_height,
     require_ready,
     require_standing,
+    require_storing,
+    store_gains,
 )
-from groundstation.cli.model_files import (
-    AS_JSON,
-    require_new,
-    say_written,
-)
-from groundstation.cli.pid_whose import Whose
-from groundstation.cli.sticks import (
+from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
+from groundstation.cli.pid_manoeuvres import (
     HOLD_HEIGHT,
     NOMINAL_V,
     Source,
@@ -32,16 +32,90 @@ from groundstation.cli.sticks import (
     height_of,
     open_sticks,
 )
-from groundstation.cli.stored_gains import STORE, clear_gains, require_storing, store_gains
 from groundstation.cli.terminal import say, show, show_json
 from groundstation.service.client import ask
 
 if TYPE_CHECKING:
     from groundstation import Recording
-    from groundstation.cli.interrupts import Interrupts
-    from groundstation.cli.motors_off import Ended
+    from groundstation.cli.flying import Ended, Interrupts
+    from groundstation.control.firmwares import Release
     from groundstation.control.programme import Programme
     from groundstation.control.step_analysis import Flown
+
+# What ``pid fly`` is given: gains, a model, and the firmware that they are for.
+
+
+@dataclass(frozen=True, slots=True)
+class Whose:
+    """The files of gains and of the model, and the firmware that the user says they are for."""
+
+    gains: Path | None
+    model: str | None
+    said: str | None
+
+    def wanted(self) -> dict[str, float]:
+        """The gains. Raises BadInputError for what is wrong with any: better known before a
+        flight."""
+        from groundstation.control.firmware_loop import plant_of_model
+        from groundstation.control.firmwares import require_release
+
+        wanted = {} if self.gains is None else _firmware_gains(self.gains)
+        if self.said is not None:
+            require_release(self.said)
+        if self.model is not None:
+            plant_of_model(fitted_model(self.model), release=self.said)
+        return wanted
+
+    def require(self, craft: str, uri: str) -> Release | None:
+        """The firmware of the craft that calls its own ``craft`` (empty: it does not say).
+
+        Raises BadInputError where gains or model are another's: the same parameters mean other
+        numbers there.
+        """
+        from groundstation import load_model
+        from groundstation.control.firmware_loop import require_gains_of
+        from groundstation.control.firmwares import firmware_of_vehicle, require_release
+        from groundstation.dynamics.model import model_vehicle
+
+        if not (craft or self.said):
+            if self.gains is None and self.model is None:
+                return None
+            raise BadInputError(
+                f"{uri} does not say whose loops it flies; say --firmware 2014 or --firmware 2.x"
+            )
+        if craft and self.said and craft != self.said:
+            raise BadInputError(f"--firmware {self.said}: {uri} flies {craft}; nothing was written")
+        release = require_release(craft or str(self.said))
+        if self.gains is not None:
+            require_gains_of(self.gains, release, uri, said=self.said)
+        if self.model is not None and self.said is None:
+            vehicle = model_vehicle(load_model(self.model))
+            if firmware_of_vehicle(vehicle).name != release:
+                raise BadInputError(
+                    f"model {self.model}: a {vehicle.name} flies {vehicle.firmware}, {uri} flies"
+                    f" {release}: not of this craft, or say --firmware {release}"
+                )
+        return release
+
+
+def _firmware_gains(path: Path) -> dict[str, float]:
+    """The firmware's gains of a file. Raises BadInputError for others, which cannot be flown."""
+    from groundstation import PidGains, load_gains
+    from groundstation.control.firmware_loop import require_gains
+
+    wanted: dict[str, float] = {}
+    for name, value in load_gains(path).items():
+        if isinstance(value, PidGains):
+            raise BadInputError(
+                f"gains {path}: the thesis's form cannot be flown, only the firmware's"
+            )
+        wanted[name] = value
+    require_gains(wanted, f"gains {path}")
+    return wanted
+
+
+# ``pid fly``: gains and a programme on a craft, by the daemon's control API.
+
 
 CLIENT = "pid fly"
 THRUST = typer.Option(
@@ -158,7 +232,7 @@ def _rehearse(
     height_m: float | None,
     as_json: bool,
 ) -> None:
-    from groundstation.cli.rehearsal import rehearse
+    from groundstation.cli.learn_flights import rehearse
     from groundstation.control.report import flight_lines
 
     if model is None or height_m is None:
@@ -188,7 +262,7 @@ def _flight(
     yes: bool,
 ) -> dict[str, Any]:
     """Everything that touches the craft; what happened."""
-    from groundstation.cli.craft_flight import Changes, commanded, fly_recorded, stops_begun
+    from groundstation.cli.flying import Changes, commanded, fly_recorded, stops_begun
 
     path = socket_path()
     await_connection(path)
@@ -246,7 +320,7 @@ def _way_to_fly(
     tells_battery: bool,
 ) -> Callable[[Interrupts], Ended]:
     """By the height that the craft holds, or by somebody's thrust."""
-    from groundstation.cli.height_flight import Room, fly_by_height
+    from groundstation.cli.flying import Room, fly_by_height
     from groundstation.cli.pid_manoeuvres import fly_by_hand
 
     uri = pilot.lease["uri"]
@@ -265,7 +339,7 @@ def _way_to_fly(
 
 
 def _undo() -> None:
-    from groundstation.cli.craft_flight import write_parameters
+    from groundstation.cli.flying import write_parameters
 
     path = socket_path()
     await_connection(path)

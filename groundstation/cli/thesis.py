@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli.model_files import AS_JSON, say_written
-from groundstation.cli.progress import shown
-from groundstation.cli.terminal import show, show_json
+from groundstation.cli.terminal import show, show_json, shown
 
 if TYPE_CHECKING:
     from groundstation.thesis.workshop import Entry

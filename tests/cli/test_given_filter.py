@@ -2,8 +2,8 @@
 
 import pytest
 
-from groundstation.cli.flights import FILTER, read_flights, with_filter
 from groundstation.cli.learn_flights import FastPlace
+from groundstation.cli.model_files import FILTER, read_flights, with_filter
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.learn.planning import HOVER, Limits, flight_of

@@ -6,9 +6,8 @@ import json
 import pytest
 
 from groundstation import compiling
-from groundstation.cli import progress
-from groundstation.cli.progress import line, own_terminal, shown, spoken, tell_found, watched
-from groundstation.cli.terminal import show
+from groundstation.cli import terminal as progress
+from groundstation.cli.terminal import line, own_terminal, show, shown, spoken, tell_found, watched
 from support.waiting import until
 
 

@@ -11,7 +11,7 @@ from support.programs import Program
 
 PROGRAM = """
 import asyncio, time
-from groundstation.cli.signals import stopped_by_signals
+from groundstation.cli.run import stopped_by_signals
 
 def say(text):
     print(text, flush=True)

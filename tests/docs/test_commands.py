@@ -27,7 +27,7 @@ from typer.testing import CliRunner
 
 from firmware_sim import __main__ as stand_in
 from groundstation.cli.app import app
-from groundstation.cli.usb_devices import usb_devices
+from groundstation.cli.devices import usb_devices
 from groundstation.errors import GroundStationError
 from groundstation.service.config import UsbConfig
 from support import ROOT

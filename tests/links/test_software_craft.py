@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from groundstation.cli.height_flight import Room, fly_by_height
-from groundstation.cli.interrupts import Interrupts
+from groundstation.cli.flying import Interrupts, Room, fly_by_height
 from groundstation.cli.learn_flights import CLIENT, FastPlace
 from groundstation.errors import BadInputError
 from groundstation.learn.planning import FlightPlan, Limits, library

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from groundstation.cli import main
-from groundstation.cli.craft_flight import stops_begun
+from groundstation.cli.flying import stops_begun
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig

@@ -11,8 +11,7 @@ import usb.core
 import usb.util
 from serial.tools.list_ports import comports
 
-from groundstation.cli.devices import port_row
-from groundstation.cli.usb_devices import usb_devices
+from groundstation.cli.devices import port_row, usb_devices
 from support.daemons import COMMAND, in_process, require_failure
 from support.programs import Program, run_program
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.cli.commanding import kept
+from groundstation.cli.flying import kept
 from groundstation.recording.formats import open_recording
 from groundstation.service.client import Pilot, ask
 from support import RECORDINGS

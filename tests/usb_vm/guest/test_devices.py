@@ -8,7 +8,7 @@ import time
 import usb.core
 import usb.util
 
-from groundstation.cli.usb_devices import usb_devices
+from groundstation.cli.devices import usb_devices
 
 BRIDGE = "0483:5741"
 PATIENCE_S = 60.0
@@ -54,7 +54,7 @@ def test_a_user_without_permission_is_told_of_the_rule(bridge):
     rows_when(1)
     program = (
         "import os, usb.core\n"
-        "from groundstation.cli.usb_devices import usb_devices\n"
+        "from groundstation.cli.devices import usb_devices\n"
         "import groundstation.links.usb, libusb_package, usb.backend.libusb1\n"
         "os.setgid(65534); os.setuid(65534)\n"
         f"((row,), problem) = usb_devices({BRIDGE!r})\n"
