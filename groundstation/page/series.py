@@ -102,7 +102,8 @@ def _channels(samples: SampleBatch) -> Iterator[tuple[str, NDArray[np.float32]]]
     """Those that have any value, in the units of the page."""
     attributes = {field: name for name, (field, _) in SAMPLE_FIELDS.items()}
     for name, field, factor, parts in COLUMNS:
-        values = np.asarray(getattr(samples, attributes[field]), np.float32) * np.float32(factor)
+        with np.errstate(over="ignore"):  # what float32 does not hold is infinite, and not drawn
+            values = np.asarray(getattr(samples, attributes[field]) * factor, np.float32)
         columns = values.reshape(len(samples), -1)
         for part, column in zip(parts, columns.T, strict=True):
             if np.isfinite(column).any():

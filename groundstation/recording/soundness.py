@@ -548,8 +548,9 @@ def _extrapolated(values: Array, wrong: Mask) -> Mask:
     """
     bends = np.full(len(values), np.inf)
     if len(values) > 2:
-        bends[1:-1] = np.abs(np.diff(values, 2))
-        bends[1:-1][np.diff(values)[1:] == 0.0] = np.inf  # what rests is no extrapolation
+        with np.errstate(invalid="ignore", over="ignore"):  # infinite values bend by no number
+            bends[1:-1] = np.abs(np.diff(values, 2))
+            bends[1:-1][np.diff(values)[1:] == 0.0] = np.inf  # what rests is no extrapolation
     usual = bends[~wrong & np.isfinite(bends)]
     smooth = bends < (SMOOTH * float(np.quantile(usual, 0.75)) if len(usual) else 0.0)
     out = np.zeros(len(values), np.bool_)

@@ -32,7 +32,7 @@ _PYTHON = re.compile(
     r"|has no attribute|subscriptable|unhashable|invalid literal|could not convert|to unpack|codec"
     r"|out of bounds|index out of range|list index|broadcast|positional|<class|requires a buffer"
     r"|recursion|math domain|reshape|expected str|bytes-like|encountered in|Buffer>|\berrno\b"
-    r"|thrift|\('",
+    r"|thrift|\('[A-Za-z]",
     re.IGNORECASE,
 )
 """What Python, numpy, struct and other libraries say of an error; ``warning:`` is ours."""
