@@ -8,10 +8,17 @@ import pytest
 
 from support.daemons import Daemon
 from support.programs import free_port
-from support.waiting import until
+from support.waiting import WHOLE_TEST_S, in_real_time, until
 
 CHROMIUM = shutil.which("chromium")
 PATIENCE_MS = 120_000
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """Browser and daemon run in real time: what fails where the machine gave none is run again."""
+    with in_real_time(last_s=WHOLE_TEST_S):
+        return (yield)
 
 
 @pytest.fixture(scope="module")  # its event loop runs in this thread until it is ended

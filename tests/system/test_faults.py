@@ -18,7 +18,7 @@ from groundstation.service.client import ask
 from support import shim
 from support.daemons import Daemon, gaps, groundstation, require_failure
 from support.programs import Program, run_program
-from support.waiting import in_real_time, until
+from support.waiting import until
 
 STOPPED_S = 5.0
 HOUR_S = 3600
@@ -213,11 +213,9 @@ def test_many_clients_at_once_for_a_while_leave_the_daemon_as_it_was(tmp_path):
 
     with Daemon(tmp_path) as daemon:
         daemon.recording(samples=500)
-        with in_real_time():
-            attack(2)
+        attack(2)
         before = settled()
-        with in_real_time():
-            attack(4)
+        attack(4)
         after = settled()
         status = daemon.status()
         assert daemon.stop() == 0

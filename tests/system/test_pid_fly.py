@@ -17,7 +17,7 @@ from groundstation.service.client import Pilot, ask
 from support import RECORDINGS
 from support.daemons import COMMAND, Daemon, groundstation, in_process, require_failure
 from support.programs import Program, free_port, run_program
-from support.waiting import in_real_time, until
+from support.waiting import until
 
 DATA = Path(__file__).parents[1] / "control" / "data"
 BODY, GAINS = DATA / "body.json", DATA / "gains.toml"
@@ -58,9 +58,8 @@ class Station:
 
     def flown(self, *arguments):
         """The same, to a good end."""
-        with in_real_time():
-            flight = self.fly(*arguments)
-            assert flight.returncode == 0, flight.stderr
+        flight = self.fly(*arguments)
+        assert flight.returncode == 0, flight.stderr
         return flight
 
     @contextlib.contextmanager
@@ -73,8 +72,7 @@ class Station:
             text=True,
             env=self._environment,
         ) as flight:
-            with in_real_time():
-                until(self._in_programme(flight, mark), "the programme is flown")
+            until(self._in_programme(flight, mark), "the programme is flown")
             yield flight
 
     def _in_programme(self, flight, mark):
@@ -220,10 +218,9 @@ def test_an_impatient_ctrl_c_does_not_keep_the_motors_from_being_stopped(station
 def test_gains_that_cannot_fly_abort_and_are_put_back(station, tmp_path):
     gains = tmp_path / "wild.toml"
     gains.write_text('"pid_attitude.roll_kp" = 30.0\n"pid_attitude.pitch_kp" = 30.0\n')
-    with in_real_time():
-        flight = station.fly("--gains", gains, *ONCE, "--restore")
-        assert "flight aborted: " in flight.stderr
-        assert "tilt of" in flight.stderr or "rate of" in flight.stderr
+    flight = station.fly("--gains", gains, *ONCE, "--restore")
+    assert "flight aborted: " in flight.stderr
+    assert "tilt of" in flight.stderr or "rate of" in flight.stderr
     values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
     assert values["pid_attitude.roll_kp"] == 3.5
 

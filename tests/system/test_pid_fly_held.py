@@ -16,7 +16,7 @@ from groundstation.recording.formats import open_recording
 from groundstation.service.client import ask
 from support.daemons import COMMAND, Daemon, require_failure
 from support.programs import Program, free_port, run_program
-from support.waiting import in_real_time, until
+from support.waiting import until
 
 SHORT = ("--axis", "roll", "--repeat", "2", "--hold", "0.5")
 LONG = ("--repeat", "20")
@@ -53,8 +53,7 @@ class Field:
                 assert flight.poll() is None, flight.communicate()
                 return "pid fly manoeuvre" in self.events("mark")
 
-            with in_real_time():
-                until(in_programme, "the programme is flown")
+            until(in_programme, "the programme is flown")
             assert self.gain() == 200.0
             yield flight
 
@@ -101,11 +100,10 @@ def field(tmp_path, more, sessions):
 
 
 def test_it_is_brought_back_between_manoeuvres_landed_and_its_steps_are_measured(field):
-    with in_real_time():
-        flight = field.fly("--thrust", "height:0.6", "--json", *SHORT)
-        assert flight.returncode == 0, flight.stderr
-        report = json.loads(flight.stdout)
-        assert report["motors"] == "landed, motors are off"
+    flight = field.fly("--thrust", "height:0.6", "--json", *SHORT)
+    assert flight.returncode == 0, flight.stderr
+    report = json.loads(flight.stdout)
+    assert report["motors"] == "landed, motors are off"
     assert "the craft holds 0.6 m by itself; Ctrl-C lands it" in flight.stderr
     assert report["axes"]["roll"]["edges"] == 6
     assert report["axes"]["roll"]["measured"]["overshoot_pct"] < 20.0
@@ -127,9 +125,8 @@ def test_it_is_brought_back_between_manoeuvres_landed_and_its_steps_are_measured
 def test_gains_that_flew_are_stored_and_cleared_again(field):
     asked = ("--gains", field.gains, *SHORT)
     assert "give one" in require_failure(field.fly("--store", "--restore", *asked))
-    with in_real_time():
-        flight = field.fly("--store", "--json", *asked)
-        assert flight.returncode == 0, flight.stderr
+    flight = field.fly("--store", "--json", *asked)
+    assert flight.returncode == 0, flight.stderr
     assert json.loads(flight.stdout)["stored"] == [GAIN]
     kept = ask(field.daemon.socket, "GET", "/command/stored")["parameters"][GAIN]
     assert kept == {"now": 200.0, "default": STOCK, "stored": 200.0}
@@ -198,12 +195,11 @@ class TestOnASmallDisk:
         return small_disk("1200k")
 
     def test_a_disk_that_fills_in_flight_lands_it(self, field):
-        with in_real_time():
-            with field.flying() as flight:
-                _, stderr = flight.communicate(timeout=100)
-            assert flight.returncode == 1
-            assert "flight aborted: recording: " in stderr
-            assert "landed, motors are off" in stderr
+        with field.flying() as flight:
+            _, stderr = flight.communicate(timeout=100)
+        assert flight.returncode == 1
+        assert "flight aborted: recording: " in stderr
+        assert "landed, motors are off" in stderr
         field.require_landed()
 
 
@@ -228,10 +224,9 @@ def test_a_craft_that_does_not_stand_level_turns_no_motor(field):
 
 @pytest.mark.parametrize("more", ["height_deck = true"])
 def test_a_craft_that_knows_its_height_alone_flies_and_is_landed(field):
-    with in_real_time():
-        flight = field.fly("--json", *SHORT)
-        assert flight.returncode == 0, flight.stderr
-        report = json.loads(flight.stdout)
-        assert report["motors"] == "landed, motors are off"
+    flight = field.fly("--json", *SHORT)
+    assert flight.returncode == 0, flight.stderr
+    report = json.loads(flight.stdout)
+    assert report["motors"] == "landed, motors are off"
     recording = open_recording(Path(report["recording"]))
     assert not any("vx_m_s" in entry for entry in recording.commands)

@@ -19,7 +19,7 @@ from groundstation.service.client import Pilot, ask, live
 from support.crafts import narrow
 from support.daemons import COMMAND, Daemon, require_failure
 from support.programs import Program, free_port, run_program
-from support.waiting import in_real_time, until
+from support.waiting import until
 
 ONCE = ("--axis", "roll", "--repeat", "1", "--hold", "0.5", "--rest", "0.2")
 LONG = ("--axis", "roll", "--repeat", "8", "--hold", "1.0", "--rest", "0.5")
@@ -113,13 +113,12 @@ def last_line(flight):
 def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(field):
     """Today's firmware locks a craft whose setpoints cease within 2 s after its motors turned."""
     for _ in range(2):
-        with in_real_time():
-            flight = field.run("pid", "fly", *ONCE, "--json")
-            assert flight.returncode == 0, flight.stderr
-            assert json.loads(flight.stdout)["motors"] == LANDED
-            time.sleep(3.0)
-            assert field.events("fault") == []
-            assert not any("Locked" in line for line in field.events("console"))
+        flight = field.run("pid", "fly", *ONCE, "--json")
+        assert flight.returncode == 0, flight.stderr
+        assert json.loads(flight.stdout)["motors"] == LANDED
+        time.sleep(3.0)
+        assert field.events("fault") == []
+        assert not any("Locked" in line for line in field.events("console"))
 
 
 @pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
@@ -128,8 +127,7 @@ def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
     assert "the craft is not armed" in require_failure(field.run("pid", "fly", *ONCE))
     assert field.run("motors", "arm").stdout == "armed\n"
     until(lambda: field.duty() > 0.1, "the motors idle")
-    with in_real_time():
-        flight = field.run("pid", "fly", *ONCE, "--json")
+    flight = field.run("pid", "fly", *ONCE, "--json")
     assert flight.returncode == 0, flight.stderr
     assert json.loads(flight.stdout)["motors"] == LANDED
     assert field.duty() == 0.0
@@ -144,8 +142,7 @@ def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
 def test_a_software_build_that_tells_no_battery_is_flown_and_that_is_said(field, tmp_path):
     model = tmp_path / "model.json"
     save_model(vehicle_model(BUILT_IN["crazyflie21"]), model)
-    with in_real_time():
-        flight = field.run("pid", "fly", *ONCE, "--model", model, "--json")
+    flight = field.run("pid", "fly", *ONCE, "--model", model, "--json")
     assert flight.returncode == 0, flight.stderr
     assert "the craft does not tell its battery's voltage" in flight.stderr
     assert "no battery was told: the prediction is for 3.7 V" in flight.stderr
@@ -171,26 +168,24 @@ def test_a_client_that_leaves_a_craft_in_altitude_hold_leaves_no_motor_turning(f
 @pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
 def test_a_second_without_radio_ends_a_flight_and_the_next_one_flies(field):
     assert field.run("motors", "arm").stdout == "armed\n"
-    with in_real_time():
-        with field.flying() as flight:
-            field.radio.stalled = True
-            time.sleep(1.4)
-            field.radio.stalled = False
-            last = last_line(flight)
-        # both end after 1 s, and whichever log group came last is told
-        assert "no telemetry for 1." in last or "no position from the craft for 1 s" in last
-        assert "motors are off" in last
+    with field.flying() as flight:
+        field.radio.stalled = True
+        time.sleep(1.4)
+        field.radio.stalled = False
+        last = last_line(flight)
+    # both end after 1 s, and whichever log group came last is told
+    assert "no telemetry for 1." in last or "no position from the craft for 1 s" in last
+    assert "motors are off" in last
     field.daemon.status_when(lambda s: s["command"]["armed"] is False, "the craft is disarmed")
     time.sleep(2.5)  # armed before that it would call itself landed, and be disarmed 3 s later
     assert field.run("motors", "arm").stdout == "armed\n"
-    with in_real_time():
-        again = field.run("pid", "fly", *ONCE)
-        assert again.returncode == 0, again.stderr
+    again = field.run("pid", "fly", *ONCE)
+    assert again.returncode == 0, again.stderr
 
 
 @pytest.mark.parametrize("field", [{"craft": '"crazyflie21plus"', "protocol": "7"}], indirect=True)
 def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopped(field):
-    with in_real_time(), field.flying() as flight:
+    with field.flying() as flight:
         field.radio.stalled = True
         last = last_line(flight)
         assert "nothing says that the motors stopped" in last
@@ -212,7 +207,7 @@ def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopp
 def test_a_craft_whose_program_stands_still_for_five_seconds_ends_the_flight(field):
     """Its time stands still too, unlike a radio's; what was sent meanwhile comes late."""
     assert field.run("motors", "arm").stdout == "armed\n"
-    with in_real_time(), field.flying() as flight:
+    with field.flying() as flight:
         field.craft.send_signal(signal.SIGSTOP)
         try:
             last = last_line(flight)
