@@ -408,8 +408,6 @@ def _to_euler(attitude: Array) -> Array:
 # A flight made ready for the search: what is airborne, which rows are real, where it rested.
 
 
-Flags = NDArray[np.bool_]
-
 LEAST_AIR_S = 4.0
 FOLLOW_S = 40.0
 """How slowly the attitude that the gyro carries follows the one reported."""
@@ -434,7 +432,7 @@ class Flight:
     """
 
     run: Run
-    known: Flags
+    known: Mask
     first: int
     last: int
     attitude: AttitudeRows | None
@@ -492,7 +490,7 @@ def prepare(runs: Sequence[Run], least_s: float = LEAST_AIR_S) -> list[Flight]:
 
 
 def _flights(raw: Run, least_s: float) -> list[Flight]:
-    known: Flags = np.asarray(np.isfinite(raw.gyro).all(axis=1), np.bool_)
+    known: Mask = np.asarray(np.isfinite(raw.gyro).all(axis=1), np.bool_)
     if not known.any():
         raise BadInputError(
             f"{raw.name}: the gyro is missing; without body rates no effect can be told"

@@ -136,11 +136,6 @@ def _read(path: Path) -> Mapping[str, Any]:
     return found if isinstance(found, Mapping) else {}
 
 
-def _part_of(account: Any, name: str) -> Mapping[str, Any]:
-    part = account.get(name) if isinstance(account, Mapping) else None
-    return part if isinstance(part, Mapping) else {}
-
-
 # Work on recordings, and on a craft, in processes of their own, one at a time, kept beside the
 # recordings.
 
@@ -660,7 +655,7 @@ def _parameters(model: Model) -> Iterator[ModelParameter]:
             stderr = _constant_stderr(model, part, key, value) if origin == "fitted" else None
             yield _parameter(name, value, unit, stderr, origin, meaning)
     for axis, one in (model.arx or {}).items():
-        account = _mapping(_mapping(model.fit.get("arx"), "axes"), axis)
+        account = _part_of(_part_of(model.fit.get("arx"), "axes"), axis)
         for letter, values in (("a", one.a), ("b", one.b)):
             for order, value in enumerate(values, 1):
                 key = f"{letter}{order}"
@@ -702,7 +697,7 @@ def _constant_stderr(model: Model, part: str, key: str, value: float) -> float |
 
 def _stderr(account: Any, key: str, value: float) -> float | None:
     """Of a number that a fit's account has estimated; None where it speaks of another value."""
-    estimates = _mapping(account, "estimates")
+    estimates = _part_of(account, "estimates")
     columns = (estimates.get(name) or () for name in ("names", "values", "stderr"))
     for name, estimated, stderr in zip(*columns, strict=False):
         if name == key and _same(estimated, value):
@@ -710,7 +705,7 @@ def _stderr(account: Any, key: str, value: float) -> float | None:
     return None
 
 
-def _mapping(account: Any, name: str) -> Mapping[str, Any]:
+def _part_of(account: Any, name: str) -> Mapping[str, Any]:
     """A part of an account, empty where it is not there or something else."""
     part = account.get(name) if isinstance(account, Mapping) else None
     return part if isinstance(part, Mapping) else {}

@@ -15,13 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.telemetry import reassembly as copies
-from groundstation.telemetry import reassembly as device_time
-from groundstation.telemetry import reassembly as kernel
-from groundstation.telemetry import reassembly as layout
-from groundstation.telemetry import reassembly as main_chain
-from groundstation.telemetry import reassembly as pending_chain
-from groundstation.telemetry import reassembly as silence
+from groundstation.telemetry import reassembly
 from groundstation.telemetry.packet import PACKET_BYTES, Packets, encode
 from groundstation.telemetry.samples import RawBatch, SampleBatch, samples_from_packets
 
@@ -90,9 +84,9 @@ class Decoder:
     """
 
     def __init__(self, start_ticks: int | None = None, *, compiled: bool = False) -> None:
-        self._state = layout.new_state()
+        self._state = reassembly.new_state()
         if start_ticks is not None:
-            self._state.n[layout.HINT] = start_ticks
+            self._state.n[reassembly.HINT] = start_ticks
         self._compiled = compiled
         self._origin_ns: int | None = None
         self._packets = 0
@@ -119,50 +113,55 @@ class Decoder:
     def idle(self, host_time_ns: int) -> Decoded:
         """Nothing has arrived up to ``host_time_ns``: give out what only waited for its turn."""
         now = host_time_ns - (self._origin_ns or 0)
-        return self._run(lambda out: kernel.idle(self._state, out, now), 0)
+        return self._run(lambda out: reassembly.idle(self._state, out, now), 0)
 
     def finish(self) -> Decoded:
         """The stream ends, or the link reconnects: give out everything."""
-        return self._run(lambda out: kernel.finish(self._state, out), 0)
+        return self._run(lambda out: reassembly.finish(self._state, out), 0)
 
     def reconnected(self) -> Decoded:
         """The link was closed and opened again: what follows is a new segment."""
         rest = self.finish()
         state = self._state
-        if state.n[layout.MAIN]:
-            state.n[layout.MAIN] = 0
-            state.n[layout.FORCED] = 1
+        if state.n[reassembly.MAIN]:
+            state.n[reassembly.MAIN] = 0
+            state.n[reassembly.FORCED] = 1
         return rest
 
     def counts(self) -> DecoderCounts:
         n = self._state.n
-        settled = int(n[layout.COPIES] - n[layout.DISAGREED] - n[layout.DAMAGED] - n[layout.LATE])
+        settled = int(
+            n[reassembly.COPIES]
+            - n[reassembly.DISAGREED]
+            - n[reassembly.DAMAGED]
+            - n[reassembly.LATE]
+        )
         waiting = self._waiting_copies()
         return DecoderCounts(
             packets=self._packets,
             malformed=self._malformed,
             samples=self._samples,
-            lost=int(n[layout.LOST]),
-            bursts=int(n[layout.BURSTS]),
-            longest_burst=int(n[layout.LONGEST]),
+            lost=int(n[reassembly.LOST]),
+            bursts=int(n[reassembly.BURSTS]),
+            longest_burst=int(n[reassembly.LONGEST]),
             duplicates=max(0, settled - waiting - self._samples),
-            disagreeing=int(n[layout.DISAGREED]),
-            damaged=int(n[layout.DAMAGED]),
-            late=int(n[layout.LATE]),
-            slips=int(n[layout.SLIPS]),
-            restarts=int(n[layout.RESTARTS]),
+            disagreeing=int(n[reassembly.DISAGREED]),
+            damaged=int(n[reassembly.DAMAGED]),
+            late=int(n[reassembly.LATE]),
+            slips=int(n[reassembly.SLIPS]),
+            restarts=int(n[reassembly.RESTARTS]),
         )
 
     def _waiting_copies(self) -> int:
         state = self._state
         slots = np.concatenate(
             [
-                state.buffer[: state.n[layout.BUFFERED]],
-                state.pending[: state.n[layout.PENDING]],
-                state.orphans[: state.n[layout.ORPHANS]],
+                state.buffer[: state.n[reassembly.BUFFERED]],
+                state.pending[: state.n[reassembly.PENDING]],
+                state.orphans[: state.n[reassembly.ORPHANS]],
             ]
         )
-        valid = np.arange(layout.VARIANTS) < state.variants[slots][:, None]
+        valid = np.arange(reassembly.VARIANTS) < state.variants[slots][:, None]
         return int((state.votes[slots] * valid).sum())
 
     def _decode(self, packets: Packets, host_time_ns: NDArray[np.int64]) -> Decoded:
@@ -181,15 +180,19 @@ class Decoder:
             self._malformed += int(counts[~plausible].sum())
             contents, host, counts = contents[plausible], host[plausible], counts[plausible]
         stamps = (contents[:, 0] & np.uint64(0xFFFF)).astype(np.int64)
-        reassemble = _compiled() if self._compiled else kernel.reassemble
+        reassemble = _compiled() if self._compiled else reassembly.reassemble
         return self._run(
             lambda out: reassemble(self._state, out, contents, stamps, counts, host), len(stamps)
         )
 
-    def _run(self, step: Callable[[layout.Output], None], incoming: int) -> Decoded:
+    def _run(self, step: Callable[[reassembly.Output], None], incoming: int) -> Decoded:
         n = self._state.n
-        rows = incoming + int(n[layout.PENDING] + n[layout.BUFFERED] + n[layout.ORPHANS]) + 1
-        out = layout.Output(
+        rows = (
+            incoming
+            + int(n[reassembly.PENDING] + n[reassembly.BUFFERED] + n[reassembly.ORPHANS])
+            + 1
+        )
+        out = reassembly.Output(
             words=np.empty((rows, 4), np.uint64),
             ticks=np.empty(rows, np.int64),
             host=np.empty(rows, np.int64),
@@ -197,9 +200,9 @@ class Decoder:
             copies=np.empty(rows, np.int64),
             lateness=np.empty(rows),
         )
-        n[layout.OUT] = 0
+        n[reassembly.OUT] = 0
         step(out)
-        used = int(n[layout.OUT])
+        used = int(n[reassembly.OUT])
         self._samples += used
         samples = samples_from_packets(
             out.words[:used].view(np.uint8).reshape(used, PACKET_BYTES),
@@ -244,13 +247,12 @@ def _is_plausible(words: NDArray[np.uint64]) -> NDArray[np.bool_]:
 def _compiled() -> Callable[..., Any]:
     from numba.extending import register_jitable
 
-    from groundstation.compiled import kernel as compile_entry
+    from groundstation.compiled import kernel
 
-    for module in (copies, device_time, main_chain, pending_chain, silence, kernel, layout):
-        for helper in vars(module).values():
-            if inspect.isfunction(helper) and helper.__module__ == module.__name__:
-                register_jitable(helper)
-    compiled: Callable[..., Any] = compile_entry(kernel.reassemble)
+    for helper in vars(reassembly).values():
+        if inspect.isfunction(helper) and helper.__module__ == reassembly.__name__:
+            register_jitable(helper)
+    compiled: Callable[..., Any] = kernel(reassembly.reassemble)
     return compiled
 
 

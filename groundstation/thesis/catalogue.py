@@ -29,10 +29,7 @@ from groundstation.errors import BadInputError
 from groundstation.report.page import Cell, Page, lines
 from groundstation.telemetry.arrays import AXES
 from groundstation.telemetry.packet import PACKET_DTYPE, SAMPLE_PERIOD_S
-from groundstation.thesis import identification as arx
-from groundstation.thesis import identification as body
-from groundstation.thesis import identification as flight
-from groundstation.thesis import identification as motor
+from groundstation.thesis.identification import ARX, BODY, FLIGHTS, MOTORS
 from groundstation.thesis.workshop import PACKET as PRINTED
 from groundstation.thesis.workshop import (
     WHOLE_GAINS,
@@ -299,10 +296,10 @@ CONTROL = (
 ENTRIES: tuple[Entry, ...] = (
     *TELEMETRY,
     *FUSION,
-    *motor.MOTORS,
-    *flight.FLIGHTS,
-    *body.BODY,
-    *arx.ARX,
+    *MOTORS,
+    *FLIGHTS,
+    *BODY,
+    *ARX,
     *CONTROL,
 )
 
