@@ -42,8 +42,8 @@ nightly: $(VENV)/.ready-dev $(VENV)/.compiled ## tests of safety, service, attac
 	done
 
 test-durations: $(VENV)/.ready-dev $(VENV)/.compiled ## measures every test, writes that list anew
-	$(PYTEST) -p support.durations --durations-to $(VENV)/durations.json $(ARGS)
-	PYTHONPATH=tests $(BIN)/python -m support.durations $(VENV)/durations.json
+	$(PYTEST) --durations-to $(VENV)/durations.json $(ARGS)
+	PYTHONPATH=tests $(BIN)/python -m support.suite $(VENV)/durations.json
 
 # Byte code and compiled kernels, for every program that the tests start.
 $(VENV)/.compiled: $(VENV)/.ready-dev $(shell find groundstation firmware_sim -name '*.py')

@@ -34,7 +34,7 @@ from groundstation import (
     open_recording,
     vehicle_model,
 )
-from groundstation.discrepancy.report_html import waterfall, where_map
+from groundstation.discrepancy.report import waterfall, where_map
 from groundstation.recording.rrd import write_rrd
 from groundstation.report.page import png
 from groundstation.viewer.child import free_port
@@ -141,7 +141,7 @@ def looks(page: Any, *, full: bool) -> dict[str, bytes]:
 def viewer_picture(recording: Path, at_s: float) -> bytes:
     """The recording in the viewer, the cursor at a device time."""
     sys.path.append(str(Path(__file__).parents[1] / "tests"))
-    from support.screenshots import hidden_viewer
+    from support.viewer import hidden_viewer
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.rrd"

@@ -116,7 +116,7 @@ def control_api() -> str:
 def formats() -> str:
     """What is read and written, and the column maps that are known by name."""
     rows = [
-        (f"`{one.reader}`", f"`{one.suffix}`" if one.writer else "", "yes" if one.mapped else "")
+        (f"`{one.reader}`", f"`{one.suffix}`" if one.writer else "", "yes" if one.takes_map else "")
         for one in recording_formats.FORMATS
     ]
     parts = [

@@ -172,7 +172,7 @@ async def _fly(
     powered_on = await asyncio.to_thread(craft.advance, 0.0)
     server = None
     if options.crtp is not None:
-        from firmware_sim.crtp_server import CrtpServer
+        from firmware_sim.crtp import CrtpServer
 
         host, _, port = options.crtp.rpartition(":")
         if not host or not port.isdigit():

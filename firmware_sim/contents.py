@@ -1,28 +1,22 @@
-"""What can be logged and set: the tables of contents of the firmware of 2014 and of today's.
+"""What can be logged and set: the tables of contents of the firmware of 2014 and of today's, and
+what of it outlasts a power cycle.
 
 Types are those of the log (1 u8, 2 u16, 3 u32, 4 i8, 5 i16, 6 i32, 7 float, 8 half float) and of
-the parameters (8 u8, 10 u32, 6 float; 0x40 marks what can only be read, 0x10 what can be stored).
+the parameters (8 u8, 9 u16, 10 u32, 6 float; 0x40 marks what can only be read, 0x10 what can be
+stored).
 """
 
 from __future__ import annotations
 
+import errno
 import math
-import zlib
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
-from firmware_sim.craft import CHOSEN, CPU_ID, FLOW_DECK, HEIGHT_DECK, StandIn
-from firmware_sim.craft_state import CraftState
-from firmware_sim.persistent import (
-    EXTENDED,
-    PARAM_FLOAT,
-    PARAM_U8,
-    PARAM_U32,
-    PERSISTENT_GROUPS,
-    READ_ONLY,
-)
-from firmware_sim.physics import DRAG_NAMES, PARAMETER_NAMES, RESET_ESTIMATOR
+from firmware_sim.craft import CHOSEN, CPU_ID, FLOW_DECK, HEIGHT_DECK, CraftState, StandIn
+from firmware_sim.physics import DRAG_NAMES, PARAMETER_NAMES, RESET_ESTIMATOR, THRUST_NAMES
 from firmware_sim.settings import StandInSettings
 from firmware_sim.supervisor import CAN_FLY, CRASHED, FLYING, LEVEL_OUT, LOCKED, PASSED
 
@@ -33,6 +27,25 @@ DRAG_KNOWN = 12
 """The protocol from which on the Kalman filter has a drag."""
 MOTORS_16_BIT = 8
 """The protocol from which on ``motor.m1`` is an unsigned number of 16 bits."""
+
+MISC = 3
+"""The channel of the parameters' port."""
+GET_EXTENDED_TYPE, STORE, GET_STATE, CLEAR, GET_DEFAULT = range(2, 7)
+GET_EXTENDED_TYPE_V2, GET_DEFAULT_V2 = 7, 8
+"""Commands; those of version 2 put a status before the value."""
+SECOND_VERSION = 11
+"""The protocol that brought them."""
+PARAM_FLOAT, PARAM_U8, PARAM_U16, PARAM_U32 = 0x06, 0x08, 0x09, 0x0A
+READ_ONLY, EXTENDED = 0x40, 0x10
+"""Flags of a parameter's type: EXTENDED says that there is more to ask."""
+FORMATS = {PARAM_FLOAT: "<f", PARAM_U8: "<B", PARAM_U16: "<H", PARAM_U32: "<I"}
+PERSISTENT = 1
+"""That a parameter can be stored, in its extended type."""
+STORED, NOT_STORED = 1, 0
+DONE, MISSING = b"\0", bytes([errno.ENOENT])
+PERSISTENT_GROUPS = ("pid_rate.", "pid_attitude.")
+"""What can be stored, of the parameters that the software craft has."""
+_REQUEST = struct.Struct("<BH")
 
 Variable = tuple[str, int, Callable[[CraftState], float]]
 """Full name, type, value."""
@@ -72,20 +85,15 @@ def contents_of(craft: StandIn) -> Contents:
     )
 
 
-def checksum(items: list[bytes]) -> bytes:
-    """By which a client knows a table again."""
-    return zlib.crc32(b"".join(items)).to_bytes(4, "little")
-
-
 def _parts(
     group: str, kind: int, field: str, names: Sequence[str] = "xyz", *, scale: float = 1.0
 ) -> Iterator[Variable]:
     for index, name in enumerate(names):
-        yield f"{group}.{name}", kind, _part(field, index, scale)
+        yield f"{group}.{name}", kind, partial(_part, field, index, scale)
 
 
-def _part(field: str, index: int, scale: float) -> Callable[[CraftState], float]:
-    return lambda state: scale * float(getattr(state, field)[index])
+def _part(field: str, index: int, scale: float, state: CraftState) -> float:
+    return scale * float(getattr(state, field)[index])
 
 
 ANGLES = ("roll", "pitch", "yaw")
@@ -124,6 +132,8 @@ def _parameters_of_today(protocol: int) -> Iterator[tuple[str, int]]:
     for name in CPU_ID:
         yield name, PARAM_U32 | READ_ONLY
     yield RESET_ESTIMATOR, PARAM_U8
+    for name in THRUST_NAMES:
+        yield name, PARAM_U16
     if protocol >= DRAG_KNOWN:
         for name in DRAG_NAMES:
             yield name, PARAM_FLOAT
@@ -136,7 +146,7 @@ def _variables_of_today(motors: int, has: StandInSettings) -> Iterator[Variable]
     yield "stabilizer.thrust", FLOAT, lambda s: s.thrust
     yield from _parts("stateEstimate", FLOAT, "angles_deg", ANGLES)
     for index, name in enumerate(("qx", "qy", "qz", "qw")):
-        yield f"stateEstimate.{name}", FLOAT, _quaternion_part(index)
+        yield f"stateEstimate.{name}", FLOAT, partial(_quaternion_part, index)
     yield "stateEstimateZ.quat", U32, lambda s: compressed(quaternion_of(s.angles_deg))
     yield from _parts("motor", motors, "motors", MOTORS)
     yield from _parts("controller", FLOAT, "commands", COMMANDS)
@@ -146,8 +156,7 @@ def _variables_of_today(motors: int, has: StandInSettings) -> Iterator[Variable]
     yield "pm.state", I8, lambda s: s.power_state
     yield "supervisor.info", U16, supervisor_bits
     if has.rotor_speed_deck:
-        for index, name in enumerate(MOTORS):
-            yield f"rpm.{name}", U16, _rotor_rpm(index)
+        yield from _parts("rpm", U16, "rotor_rev_s", MOTORS, scale=60.0)
     yield from _parts("stateEstimate", FLOAT, "estimate_m")
     yield from _parts("stateEstimate", FLOAT, "estimate_m_s", SPEEDS)
     yield from _parts("stateEstimateZ", I16, "estimate_m", scale=1000.0)
@@ -173,12 +182,8 @@ def supervisor_bits(state: CraftState) -> int:
     return sum(bit << place for place, bit in enumerate(bits))
 
 
-def _quaternion_part(index: int) -> Callable[[CraftState], float]:
-    return lambda state: quaternion_of(state.angles_deg)[index]
-
-
-def _rotor_rpm(index: int) -> Callable[[CraftState], float]:
-    return lambda state: 60.0 * state.rotor_rev_s[index]
+def _quaternion_part(index: int, state: CraftState) -> float:
+    return quaternion_of(state.angles_deg)[index]
 
 
 def quaternion_of(angles_deg: tuple[float, float, float]) -> tuple[float, float, float, float]:
@@ -209,3 +214,64 @@ def compressed(quaternion: tuple[float, float, float, float]) -> int:
 def _item(name: str, kind: int) -> bytes:
     group, _, variable = name.partition(".")
     return bytes([kind]) + group.encode() + b"\0" + variable.encode() + b"\0"
+
+
+def form_of(kind: int) -> struct.Struct:
+    """How a value of a parameter's type is sent."""
+    return struct.Struct(FORMATS[kind & ~(READ_ONLY | EXTENDED)])
+
+
+def packed(kind: int, value: float) -> bytes:
+    """A value as it is sent."""
+    form = form_of(kind)
+    return form.pack(value if form.format == "<f" else int(value))
+
+
+def misc_answer(
+    craft: StandIn, parameters: tuple[tuple[str, int], ...], data: bytes
+) -> bytes | None:
+    """What a request of the misc channel is answered, by which today's firmware keeps parameters in
+    its EEPROM; None: nothing.
+
+    A request is a command and the parameter's number, 16 bits, little-endian; the answer repeats
+    both. What is stored is loaded when the craft is switched on, over the value that its image was
+    built with; storing and clearing change no value that flies. parameters: name and type of each,
+    in the order of their numbers.
+    """
+    if len(data) < _REQUEST.size:
+        return None
+    asked = data[: _REQUEST.size]
+    command, number = _REQUEST.unpack(asked)
+    newer = command in (GET_EXTENDED_TYPE_V2, GET_DEFAULT_V2)
+    if not GET_EXTENDED_TYPE <= command <= GET_DEFAULT_V2:
+        return None
+    if newer and craft.protocol < SECOND_VERSION:
+        return None
+    if number >= len(parameters):
+        return asked + MISSING
+    name, kind = parameters[number]
+    before = DONE if newer else b""
+    if command in (GET_DEFAULT, GET_DEFAULT_V2):
+        known = not kind & READ_ONLY
+        return asked + (before + packed(kind, craft.default_of(name)) if known else MISSING)
+    if not kind & EXTENDED:
+        return asked + MISSING
+    if command in (GET_EXTENDED_TYPE, GET_EXTENDED_TYPE_V2):
+        return asked + before + bytes([PERSISTENT])
+    if command == GET_STATE:
+        default, stored = packed(kind, craft.default_of(name)), craft.stored.get(name)
+        if stored is None:
+            return asked + bytes([NOT_STORED]) + default
+        return asked + bytes([STORED]) + default + packed(kind, stored)
+    return asked + (DONE if _kept(craft, command, name) else MISSING)
+
+
+def _kept(craft: StandIn, command: int, name: str) -> bool:
+    """Store or clear a parameter; whether that was done. A build that runs in software has no
+    EEPROM, and there is nothing to clear of what is not stored."""
+    if craft.settings.software_build:
+        return False
+    if command == STORE:
+        craft.stored[name] = craft.get_parameter(name)
+        return True
+    return craft.stored.pop(name, None) is not None

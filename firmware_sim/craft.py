@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.craft_state import CraftState, uptime_ms
 from firmware_sim.layout import (
     ACCEL_DLPF,
     LAW_BODY,
@@ -18,16 +18,17 @@ from firmware_sim.layout import (
     PILOT_PASSES,
     POSITION,
     QUATERNION,
+    ROTOR,
     ROWS,
     STATE,
     TRUTH,
+    VELOCITY,
 )
-from firmware_sim.persistent import set_in, value_in
 from firmware_sim.settings import StandInSettings
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.telemetry.packet import Packets, encode
 
-__all__ = ["StandIn", "StandInSettings"]
+__all__ = ["CraftState", "StandIn", "StandInSettings"]
 
 CHUNK_PASSES = 5000
 """At most 10 s of flight per call of the kernel: bounds the memory of a long advance."""
@@ -62,13 +63,15 @@ class StandIn:
         from firmware_sim.bridge import Bridge
         from firmware_sim.flight import fly
         from firmware_sim.physics import (
+            added_by_plant,
             craft_of,
             firmware,
             firmware_of,
             hover_thrust,
             parameters,
+            set_in,
+            value_in,
         )
-        from firmware_sim.present import added_by_plant
         from firmware_sim.programme import Sticks, load_programme
         from firmware_sim.radio import transmit
 
@@ -96,6 +99,7 @@ class StandIn:
         self._state = np.zeros(1, STATE)
         self._sticks = Sticks(load_programme(self.settings.program), self.settings.seed)
         self._fly, self._transmit = fly, transmit
+        self._value_in, self._set_in = value_in, set_in
         self._bridge = Bridge(self.settings.bridge_packets, self.settings.bridge_dedup)
         self._air = np.zeros(1, np.int64)
         loss = self.settings.loss
@@ -239,14 +243,14 @@ class StandIn:
         if name in CHOSEN:
             return self._chosen[name]
         with self._lock:
-            return value_in(self._firmware[0], name)
+            return self._value_in(self._firmware[0], name)
 
     def default_of(self, name: str) -> float:
         """A parameter's value without anything stored or set."""
         if name in CHOSEN:
             knows = KALMAN if self.settings.knows_height else COMPLEMENTARY
             return knows if name == ESTIMATOR else PID
-        return value_in(self._fresh_firmware[0], name)
+        return self._value_in(self._fresh_firmware[0], name)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Write a firmware parameter; lost at the next restart unless it is stored."""
@@ -254,7 +258,7 @@ class StandIn:
             self._chosen[name] = float(value)
             return
         with self._lock:
-            set_in(self._firmware[0], name, value)
+            self._set_in(self._firmware[0], name, value)
 
     @property
     def time_s(self) -> float:
@@ -357,7 +361,7 @@ class StandIn:
         s, p = self._state[0], self._parameters[0]
         self._firmware[:] = self._fresh_firmware
         for name, value in list(self.stored.items()):
-            set_in(self._firmware[0], name, value)
+            self._set_in(self._firmware[0], name, value)
         self._chosen = {name: self.default_of(name) for name in CHOSEN}
         self._unlocked = False
         if first:
@@ -381,6 +385,109 @@ class StandIn:
         fw = self._firmware[0]
         fw["low_ns"] = fw["critical_ns"] = fw["setpoint_ns"] = now
         s["supply_mv"] = s["reported_mv"] = p["stiff_mv"] or open_circuit_mv(float(s["charge"]))
+
+
+@dataclass(frozen=True, slots=True)
+class CraftState:
+    """What the firmware and the plant know at one moment, for clients and displays.
+
+    time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
+    firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
+    the firmware uses them. motors: 16-bit. commands: what the loops ask for, of thrust, roll, pitch
+    and yaw, 16-bit, 0 from the firmware of 2014. position_m, velocity_m_s: the truth; estimate_m,
+    estimate_m_s: what the firmware makes of it, in the world of its estimator. range_m: what a
+    Z-ranger measures; 0 without one. variances: of position and velocity (m^2, m^2/s^2) by its
+    Kalman filter, 0 where that does not run; lost: how often that began anew. supervisor: state of
+    ``supervisor``.
+    """
+
+    time_s: float
+    uptime_ms: int
+    powered: bool
+    boots: int
+    angles_deg: tuple[float, float, float]
+    gyro_dps: tuple[float, float, float]
+    accel_g: tuple[float, float, float]
+    thrust: int
+    motors: tuple[int, int, int, int]
+    commands: tuple[float, float, float, float]
+    battery_v: float
+    power_state: int
+    armed: bool
+    arms_itself: bool
+    supervisor: int
+    tumbled: bool
+    calibrated: bool
+    position_m: tuple[float, float, float]
+    rotor_rev_s: tuple[float, float, float, float]
+    velocity_m_s: tuple[float, float, float]
+    estimate_m: tuple[float, float, float]
+    estimate_m_s: tuple[float, float, float]
+    range_m: float
+    variances: tuple[float, float, float, float, float, float]
+    lost: int
+
+    @classmethod
+    def of(cls, fw: Any, s: Any) -> CraftState:
+        """From records of the firmware and of the plant (``layout``)."""
+        return cls(
+            time_s=float(s["now_ns"]) * 1e-9,
+            uptime_ms=uptime_ms(s),
+            powered=bool(s["off_ns"] < 0),
+            boots=int(s["boots"]),
+            angles_deg=_floats(fw["angles"]),
+            gyro_dps=_floats(fw["gyro"]),
+            accel_g=_floats(fw["accel"]),
+            thrust=int(fw["thrust"]),
+            motors=tuple(int(m) for m in fw["pwm"]),  # type: ignore[arg-type]  # four
+            commands=_floats(fw["commands"]),
+            battery_v=float(fw["battery_filter"]),
+            power_state=int(fw["power_state"]),
+            armed=bool(fw["armed"]),
+            arms_itself=bool(fw["arms_itself"]),
+            supervisor=int(fw["supervisor"]),
+            tumbled=bool(fw["tumbled"]),
+            calibrated=bool(fw["bias_found"]),
+            position_m=_floats(s["y"][:3]),
+            rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
+            velocity_m_s=_floats(s["y"][VELOCITY : VELOCITY + 3]),
+            estimate_m=_floats(fw["place"][:3]),
+            estimate_m_s=_floats(fw["place"][3:]),
+            range_m=float(fw["range_m"]),
+            variances=_floats(fw["place_variance"] * fw["knows_height"]),
+            lost=int(fw["kalman_resets"]),
+        )
+
+    @property
+    def height_m(self) -> float:
+        """The firmware's estimate."""
+        return self.estimate_m[2]
+
+    def at(self, row: Any, uptime_ms: int) -> CraftState:
+        """With what a record of that time has of it, by the firmware's clock."""
+        same = ("angles_deg", "gyro_dps", "accel_g", "commands", "rotor_rev_s")
+        return replace(
+            self,
+            **{name: _floats(row[name]) for name in same},
+            time_s=float(row["time_ns"]) * 1e-9,
+            uptime_ms=uptime_ms,
+            thrust=int(row["thrust"]),
+            motors=tuple(int(m) for m in row["pwm"]),  # type: ignore[arg-type]  # four
+            battery_v=float(row["battery_v"]),
+            power_state=int(row["power_state"]),
+            estimate_m=_floats(row["place"][:3]),
+            estimate_m_s=_floats(row["place"][3:]),
+            range_m=float(row["range_m"]),
+        )
+
+
+def uptime_ms(s: Any) -> int:
+    """The firmware's clock of a plant's record: ms since the last power-on."""
+    return int(s["now_ns"] - s["boot_ns"]) // 1_000_000
+
+
+def _floats(values: Any) -> Any:
+    return tuple(float(v) for v in values)
 
 
 def own_number(settings: StandInSettings) -> int:

@@ -1,7 +1,8 @@
 """The firmware's side of CRTP: commander, parameters, logging, console, what it calls itself.
 
 One datagram is one packet: a header byte (port << 4 | channel) and up to 30 bytes of data.
-``Conversation`` is the protocol for one client, without I/O; ``crtp_server`` puts it on UDP. A
+``Conversation`` is the protocol for one client, without I/O; ``CrtpServer`` puts it on UDP, as
+official clients reach it (``udp://host:port``). A
 craft with the firmware of 2014 speaks protocol 1, one with today's firmware 7 to 12, where numbers
 in the tables of contents have 16 bits and log blocks have a command for periods below 10 ms. Until
 protocol 10 it logs by the commands of 2014 as well, which know its first 255 variables.
@@ -9,25 +10,30 @@ protocol 10 it logs by the commands of 2014 as well, which know its first 255 va
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import math
 import struct
+import zlib
+from collections import OrderedDict
 from dataclasses import dataclass, field
+from typing import Any
 
 from firmware_sim.contents import (
     FLOAT,
     HALF,
+    MISC,
+    READ_ONLY,
     TODAY,
     U32,
     Contents,
-    checksum,
     contents_of,
+    form_of,
+    misc_answer,
+    packed,
     supervisor_bits,
 )
-from firmware_sim.craft import StandIn
-from firmware_sim.craft_state import CraftState
-from firmware_sim.persistent import MISC, READ_ONLY, form_of, packed
-from firmware_sim.persistent import answer as misc_answer
+from firmware_sim.craft import CraftState, StandIn
 from firmware_sim.supervisor import CRASHED, LOCKED
 
 CONSOLE, PARAM, COMMANDER, MEM, LOG = 0, 2, 3, 4, 5
@@ -61,6 +67,14 @@ SAID = {
 LOST = "ESTKALMAN: State out of bounds, resetting\n"
 RELEASES = {7: "2023.11", 8: "2024.10", 9: "2025.02", 10: "2025.09", 12: "2026.04"}
 """Firmware releases by the protocol that they brought."""
+
+DEFAULT_PORT = 19850
+"""Where clients that scan look first."""
+LOG_TICK_S = 0.01
+MAX_CLIENTS = 8
+"""Beyond these the client that has been silent for longest is forgotten."""
+
+Address = tuple[Any, ...]
 
 
 @dataclass(slots=True)
@@ -320,7 +334,8 @@ class Conversation:
         width = 2 if is_new else 1
         if asked in (GET_INFO, GET_INFO_V2):
             size = min(len(items), 256**width - 1).to_bytes(width, "little")
-            return [bytes([asked]) + size + checksum(items) + limits]
+            known_by = zlib.crc32(b"".join(items)).to_bytes(4, "little")
+            return [bytes([asked]) + size + known_by + limits]
         if len(data) <= width:
             return []
         place = data[1 : 1 + width]
@@ -352,3 +367,87 @@ class Conversation:
 def _console(text: str) -> list[bytes]:
     raw = text.encode()
     return [bytes([CONSOLE << 4]) + raw[i : i + MAX_DATA] for i in range(0, len(raw), MAX_DATA)]
+
+
+@dataclass(slots=True)
+class ServerCounts:
+    """Datagrams since the start: taken, answered, and clients forgotten for room."""
+
+    received: int = 0
+    sent: int = 0
+    forgotten: int = 0
+
+
+class CrtpServer(asyncio.DatagramProtocol):
+    """Serves a craft that somebody else advances. ``close`` may be called twice."""
+
+    def __init__(self, craft: StandIn, host: str = "127.0.0.1", port: int = DEFAULT_PORT) -> None:
+        self.counts = ServerCounts()
+        self._craft = craft
+        self._address = (host, port)
+        self._clients: OrderedDict[Address, Conversation] = OrderedDict()
+        self._transport: asyncio.DatagramTransport | None = None
+        self._logging: asyncio.Task[None] | None = None
+        self._unbound = asyncio.Event()
+
+    async def start(self) -> None:
+        """Bind and serve. Raises OSError when the port is taken."""
+        loop = asyncio.get_running_loop()
+        self._unbound.clear()
+        self._transport, _ = await loop.create_datagram_endpoint(
+            lambda: self, local_addr=self._address
+        )
+        self._logging = loop.create_task(self._log(), name="crtp-log")
+
+    @property
+    def port(self) -> int:
+        """The port that is served (useful after asking for port 0)."""
+        if self._transport is None:
+            return self._address[1]
+        return int(self._transport.get_extra_info("sockname")[1])
+
+    async def close(self) -> None:
+        """Stop serving; the port is free behind it."""
+        if self._logging is not None:
+            self._logging.cancel()
+            await asyncio.gather(self._logging, return_exceptions=True)
+            self._logging = None
+        if self._transport is not None:
+            self._transport.close()
+            self._transport = None
+            await self._unbound.wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._unbound.set()
+
+    def datagram_received(self, data: bytes, addr: Address) -> None:
+        self.counts.received += 1
+        if not self._craft.powered:
+            return
+        client = self._clients.get(addr)
+        if client is None:
+            client = self._clients[addr] = Conversation(self._craft)
+            if len(self._clients) > MAX_CLIENTS:
+                self._clients.popitem(last=False)
+                self.counts.forgotten += 1
+        self._clients.move_to_end(addr)
+        for packet in client.answer(data):
+            self._send(packet, addr)
+
+    def error_received(self, exc: Exception) -> None:
+        """A client went away: its port answers no more. Its own silence is what matters."""
+
+    def _send(self, packet: bytes, addr: Address) -> None:
+        if self._transport is not None:
+            self._transport.sendto(packet, addr)
+            self.counts.sent += 1
+
+    async def _log(self) -> None:
+        while True:
+            await asyncio.sleep(LOG_TICK_S / 2)
+            now_ms = self._craft.uptime_ms
+            if not self._craft.powered:
+                continue
+            for addr, client in list(self._clients.items()):
+                for packet in client.due(now_ms):
+                    self._send(packet, addr)

@@ -1,9 +1,8 @@
 """Height and speed by today's firmware: what it makes of a Z-ranger, and the loops that hold them.
 
 Loops and gains: ``position_controller_pid.c``, ``platform_defaults_cf2.h`` (2.0 and 0.5 on height,
-25 and 15 on climb, thrust of 36000 to begin with, 20000 at least; 25 and 1 on the speed forward and
-to the left). The estimator stands for the firmware's Kalman filter where there is a Z-ranger alone:
-acceleration, corrected by each range.
+25 and 15 on climb; 25 and 1 on the speed forward and to the left). The estimator stands for the
+firmware's Kalman filter where there is a Z-ranger alone: acceleration, corrected by each range.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ MOST_LEAN_DEG = 20.0
 MOST_CLIMB_M_S = 1.1
 MOST_PUSH = 32.767
 LOOP_S = LOOP_PASSES * DT
-SCALE, LEAST_THRUST = 1000.0, 20000.0
+SCALE = 1000.0
 RADIANS = math.pi / 180.0
 
 
@@ -87,7 +86,7 @@ def _climb(fw: Record, slow: float) -> float:
     """slow: m/s below what is wanted."""
     fw.climb_integral += slow * LOOP_S
     push = min(max(CLIMB_KP * slow + CLIMB_KI * fw.climb_integral, -MOST_PUSH), MOST_PUSH)
-    return min(max(fw.base_thrust + SCALE * push, LEAST_THRUST), FULL_16_BIT)
+    return min(max(fw.base_thrust + SCALE * push, fw.least_thrust), FULL_16_BIT)
 
 
 @inner

@@ -15,8 +15,7 @@ import numpy as np
 
 from firmware_sim.craft import StandIn
 from firmware_sim.effects.catalogue import EFFECTS, draw
-from firmware_sim.physics import craft_of
-from firmware_sim.present import present_effects
+from firmware_sim.physics import craft_of, present_effects
 from firmware_sim.settings import StandInSettings, load_settings, parse_settings
 from groundstation.text import printable
 

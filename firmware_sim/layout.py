@@ -234,7 +234,8 @@ FIRMWARE = np.dtype(
         ("climb", "f8"),  # m/s, estimated
         ("place", "f8", (6,)),  # m and m/s in the estimator's world, as it says
         ("place_variance", "f8", (6,)),  # of position and velocity
-        ("base_thrust", "f8"),
+        ("base_thrust", "f8"),  # the loop of climb begins with it
+        ("least_thrust", "f8"),  # and asks for no less
         ("height_integral", "f8"),
         ("climb_integral", "f8"),
         ("speed_integral", "f8", (2,)),

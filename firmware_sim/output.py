@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +24,8 @@ def write_npz(
     """``packets`` (n, 32) as received, ``arrival_s`` (n,), seconds since power-on, and the name of
     the craft's profile, where it has one."""
     with path.open("xb") as file:
-        if vehicle is None:
-            np.savez_compressed(file, packets=packets, arrival_s=arrival_s)
-        else:
-            np.savez_compressed(file, packets=packets, arrival_s=arrival_s, vehicle=vehicle)
+        named: dict[str, Any] = {} if vehicle is None else {"vehicle": vehicle}
+        np.savez_compressed(file, packets=packets, arrival_s=arrival_s, **named)
 
 
 def write_csv(path: Path, packets: Packets, arrival_s: NDArray[np.float64]) -> None:

@@ -1,4 +1,4 @@
-"""From settings and a vehicle or model to the numbers that the kernels fly.
+"""From settings and a vehicle or model to the numbers that the kernels fly, and what is in them.
 
 A fitted model knows ratios only. Its profile gives mass and arm; then, with rotor thrust
 ``k = mass x thrust_per_mass``, ``Ixx = k l / c0``, ``Iyy = k l / c1``, ``Izz`` keeps the
@@ -33,7 +33,14 @@ from firmware_sim.settings import Sensor, StandInSettings
 from firmware_sim.supervisor import NOT_PASSED
 from groundstation.dynamics.craft import Acting, find_effect
 from groundstation.dynamics.effect import Role
-from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
+from groundstation.dynamics.model import (
+    EffectTerm,
+    Estimate,
+    Model,
+    load_model,
+    model_vehicle,
+    rotor_motors,
+)
 from groundstation.dynamics.registry import EFFECTS as LISTED
 from groundstation.dynamics.vehicle import BUILT_IN, Vehicle, load_vehicle, rotor_positions_m
 
@@ -49,6 +56,7 @@ DLPF: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {
 """DLPF_CFG -> (bandwidth in Hz, delay in s) of the gyro and of the accelerometer."""
 BUS_S = 0.4e-3
 KNOWN_VARIANCE, UNKNOWN_VARIANCE = 1e-5, 100.0
+"""Of position (m^2) and velocity (m^2/s^2)."""
 FLOW_NOISE_COUNTS = 1.0
 """Of a Flow deck over a floor that it sees well: half of what the firmware expects."""
 THESIS_GAINS = {
@@ -112,6 +120,7 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
     vehicle, model = craft_of(settings)
     record = np.zeros(1, PARAMETERS)
     p = record[0]
+    is_today = firmware_of(settings, vehicle) == "2.x"
     _body(p, vehicle)
     _power(p, vehicle, settings)
     if any(s.kind == "bench" for s in load_programme(settings.program).segment):
@@ -121,7 +130,11 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
     p["gate_glitches"] = settings.gate_glitches
     p["resume_ns"] = round(settings.resume_s * 1e9)
     p["land_when_low"] = settings.land_when_low
-    _deck(p, settings)
+    p["flow_aided"] = settings.flow_deck
+    p["flow_noise"] = settings.sensor_noise * FLOW_NOISE_COUNTS
+    sticks_s, stuck_m = settings.range_sticks_s, settings.range_stuck_m
+    p["range_sticks_ns"] = -1 if sticks_s is None else round(sticks_s * 1e9)
+    p["range_stuck_m"] = -1.0 if stuck_m is None else stuck_m
     draws = np.random.default_rng((settings.seed, 1))
     phase, ppm = draws.uniform(0, PASS_NS * 1e-9), draws.normal(0, 10.0)
     sensor = settings.sensor
@@ -140,14 +153,20 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
         p["timer_jitter"] = 1.0
     else:
         _faithful(p, vehicle, settings)
-        if firmware_of(settings, vehicle) == "2.x":
-            _sensor_of_today(p, phase)
+        if is_today:  # a BMI088, read 1000 times a second in step with the loop
+            corners_hz = today.GYRO_BANDWIDTH_HZ, today.ACCELEROMETER_BANDWIDTH_HZ
+            p["dlpf_s"] = [1 / (2 * math.pi * corner_hz) for corner_hz in corners_hz]
+            p["pipeline_ns"] = round(today.BUS_S * 1e9)
+            p["sensor_phase_ns"] = round(phase * 1e9)
             p["plane_drag"] = today.DRAG_PER_S * vehicle.mass_kg
             p["pwm_steps"] = 0 if today.needs_arming(vehicle) else today.PWM_STEPS
         else:
             _sensor_timing(p, sensor, phase, ppm)
-    if firmware_of(settings, vehicle) == "2.x":
-        _filters_of_today(p, vehicle)
+    if is_today:
+        p["sensor_period_ns"] = round(1e9 / today.LOOP_HZ)
+        p["filtered"] = 1
+        p["gyro_filter"] = today.low_pass(vehicle.gyro_filter_hz)
+        p["accel_filter"] = today.low_pass(vehicle.accelerometer_filter_hz)
     flown_by_law = []
     if model is not None:
         flown_by_law += _fly_model(p, model, settings)
@@ -164,15 +183,6 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
             f" must be at most {most_ns * 1e-6:g}"
         )
     return record
-
-
-def _deck(p: Any, settings: StandInSettings) -> None:
-    """What a Flow deck, or a deck of ranges, measures."""
-    p["flow_aided"] = settings.flow_deck
-    p["flow_noise"] = settings.sensor_noise * FLOW_NOISE_COUNTS
-    sticks_s, stuck_m = settings.range_sticks_s, settings.range_stuck_m
-    p["range_sticks_ns"] = -1 if sticks_s is None else round(sticks_s * 1e9)
-    p["range_stuck_m"] = -1.0 if stuck_m is None else stuck_m
 
 
 def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
@@ -219,8 +229,10 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
         fw["today"], fw["accel_factor"] = 1, 256.0  # the fusion sees what is logged
         fw["knows_height"], fw["knows_place"] = settings.knows_height, settings.knows_place
         fw["kalman"] = fw["kalman_reset"] = settings.flow_deck
-        fw["base_thrust"] = today.base_thrust(vehicle)
-        fw["place_variance"] = place_variances(settings)
+        fw["base_thrust"], fw["least_thrust"] = today.base_thrust(vehicle), today.LEAST_THRUST
+        if settings.knows_height:  # by the Kalman filter, where its own model does not fly
+            known = [settings.positioned, settings.positioned, True] * 2
+            fw["place_variance"] = np.where(known, KNOWN_VARIANCE, UNKNOWN_VARIANCE)
         fw["resets_modes"] = settings.begins_anew
         curve = today.thrust_curve(vehicle, settings.release, model)
         fw["thrust_curve"], fw["thrust_most_n"] = curve.newtons, curve.most_n
@@ -237,21 +249,8 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
     fw["quaternion"][0] = 1.0
     fw["client_ns"] = -1
     for name, value in {**vehicle.gains, **settings.gains}.items():
-        column, axis = gain_place(name)
-        if axis < 0:
-            fw[column] = value
-        else:
-            fw[column][axis] = value
+        set_in(fw, name, value)
     return record
-
-
-def place_variances(settings: StandInSettings) -> NDArray[np.float64]:
-    """What the Kalman filter says of position (m^2) and velocity (m^2/s^2) where its own model
-    does not fly: nothing where it does not run."""
-    if not settings.knows_height:
-        return np.zeros(6)
-    known = [settings.positioned, settings.positioned, True] * 2
-    return np.where(known, KNOWN_VARIANCE, UNKNOWN_VARIANCE)
 
 
 def gain_place(name: str) -> tuple[str, int]:
@@ -261,9 +260,25 @@ def gain_place(name: str) -> tuple[str, int]:
     """
     if name in PARAMETER_NAMES:
         return PARAMETER_NAMES[name]
-    if name in _KALMAN_NAMES:
-        return _KALMAN_NAMES[name]
+    if name in NAMES_OF_TODAY:
+        return NAMES_OF_TODAY[name]
     raise ValueError(f"firmware parameter {name!r}: there are {', '.join(PARAMETER_NAMES)}")
+
+
+def value_in(record: Any, name: str) -> float:
+    """A parameter in a FIRMWARE record."""
+    column, axis = gain_place(name)
+    value = record[column]
+    return float(value if axis < 0 else value[axis])
+
+
+def set_in(record: Any, name: str, value: float) -> None:
+    """Set it there."""
+    column, axis = gain_place(name)
+    if axis < 0:
+        record[column] = value
+    else:
+        record[column][axis] = value
 
 
 def firmware_of(settings: StandInSettings, vehicle: Vehicle) -> str:
@@ -281,25 +296,27 @@ def hover_thrust(settings: StandInSettings) -> float:
     return vehicle.motor.armature_mv(rotor) / 3700.0 * 65536.0
 
 
-def _places() -> dict[str, tuple[str, int]]:
-    places = {}
-    for group, kind in (("pid_attitude", "angle"), ("pid_rate", "rate")):
-        for axis, letter in enumerate(("roll", "pitch", "yaw")):
-            for gain in ("kp", "ki", "kd"):
-                places[f"{group}.{letter}_{gain}"] = (f"{kind}_{gain}", axis)
-    places["sensorfusion6.kp"] = ("fusion_kp", -1)
-    places["sensorfusion6.ki"] = ("fusion_ki", -1)
-    places["imu_acc_lpf.factor"] = ("accel_factor", -1)
-    places["flightmode.althold"] = ("altitude_hold", -1)
-    return places
-
-
-PARAMETER_NAMES = _places()
+PARAMETER_NAMES = {
+    **{
+        f"{group}.{letter}_{gain}": (f"{kind}_{gain}", axis)
+        for group, kind in (("pid_attitude", "angle"), ("pid_rate", "rate"))
+        for axis, letter in enumerate(("roll", "pitch", "yaw"))
+        for gain in ("kp", "ki", "kd")
+    },
+    "sensorfusion6.kp": ("fusion_kp", -1),
+    "sensorfusion6.ki": ("fusion_ki", -1),
+    "imu_acc_lpf.factor": ("accel_factor", -1),
+    "flightmode.althold": ("altitude_hold", -1),
+}
 """The firmware's parameters by full name, in the order of its table of contents."""
 DRAG_NAMES = {"kalman.dragB_x": ("kalman_drag", 0), "kalman.dragB_y": ("kalman_drag", 1)}
 RESET_ESTIMATOR = "kalman.resetEstimation"
-_KALMAN_NAMES = {**DRAG_NAMES, RESET_ESTIMATOR: ("kalman_reset", -1)}
-"""Those of a Flow deck's estimator, which begins anew when it is asked to."""
+"""A Flow deck's estimator begins anew when it is asked to."""
+THRUST_NAMES = {
+    "posCtlPid.thrustBase": ("base_thrust", -1),
+    "posCtlPid.thrustMin": ("least_thrust", -1),
+}
+NAMES_OF_TODAY = {**DRAG_NAMES, **THRUST_NAMES, RESET_ESTIMATOR: ("kalman_reset", -1)}
 
 
 def _body(p: Any, vehicle: Vehicle) -> None:
@@ -341,23 +358,6 @@ def _faithful(p: Any, vehicle: Vehicle, settings: StandInSettings) -> None:
     p["shake"] = in_plane * G, axial * G, math.radians(rate)
 
 
-def _sensor_of_today(p: Any, phase: float) -> None:
-    """A BMI088, read 1000 times a second in step with the loop."""
-    p["dlpf_s"] = (
-        1 / (2 * math.pi * today.GYRO_BANDWIDTH_HZ),
-        1 / (2 * math.pi * today.ACCELEROMETER_BANDWIDTH_HZ),
-    )
-    p["pipeline_ns"] = round(today.BUS_S * 1e9)
-    p["sensor_phase_ns"] = round(phase * 1e9)
-
-
-def _filters_of_today(p: Any, vehicle: Vehicle) -> None:
-    p["sensor_period_ns"] = round(1e9 / today.LOOP_HZ)
-    p["filtered"] = 1
-    p["gyro_filter"] = today.low_pass(vehicle.gyro_filter_hz)
-    p["accel_filter"] = today.low_pass(vehicle.accelerometer_filter_hz)
-
-
 def _sensor_timing(p: Any, sensor: Sensor, phase: float, ppm: float) -> None:
     (bandwidth, gyro_delay), (_, accel_delay) = DLPF[sensor.dlpf]
     gyro_lag = min(1 / (2 * math.pi * bandwidth), gyro_delay)
@@ -374,3 +374,31 @@ def _sensor_timing(p: Any, sensor: Sensor, phase: float, ppm: float) -> None:
     p["pipeline_ns"] = round(pipeline * 1e9)
     p["sensor_phase_ns"] = round((phase if sensor.phase_s is None else sensor.phase_s) * 1e9)
     p["sensor_period_ns"] = round(PASS_NS * (1 + clock_ppm * 1e-6))
+
+
+def present_effects(settings: StandInSettings) -> dict[str, dict[str, float]]:
+    """Every listed effect that the stand-in contains, hidden or always there: name -> parameter ->
+    true value. The answer that a search is judged by."""
+    p = parameters(settings)[0]
+    found = {name: one.present(p) for name, one in IMPLEMENTED.items() if one.listed}
+    return {name: values for name, values in found.items() if values is not None}
+
+
+def added_by_plant(settings: StandInSettings) -> str:
+    """In a line, what the plant adds to a fitted model that flies in it; empty for nothing."""
+    _, model = craft_of(settings)
+    if model is None:
+        return ""
+    plain = msgspec.structs.replace(settings, effects={})
+    known = {term.name for term in model.effects}
+    added = []
+    for name, values in present_effects(plain).items():
+        if name not in known:
+            units = {key: unit for key, (_, unit) in IMPLEMENTED[name].parameters.items()}
+            sizes = {key: Estimate(value, unit=units[key]) for key, value in values.items()}
+            added.append(repr(EffectTerm(name, sizes)))
+    if model.origin.get("body") == "profile":
+        added.insert(0, f"body constants of the profile {model.vehicle}")
+    if parameters(plain)[0]["shake"].any():
+        added.append("vibration")
+    return f"not in the model, added by the plant: {'; '.join(added)}" if added else ""

@@ -58,6 +58,9 @@ from firmware_sim.layout import (
 from groundstation.documents import decode_toml, read_document
 
 TICK_S = PILOT_PASSES * PASS_NS * 1e-9
+Kind = Literal["rest", "fly", "bench", "hand"]
+Axis = Literal["roll", "pitch", "yaw", "height", "collective", "thrust"]
+Shape = Literal["step", "doublet", "sine", "multisine", "chirp", "random", "trapeze"]
 
 
 class Excitation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -69,8 +72,8 @@ class Excitation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         period), ``trapeze`` (smoothly to the amplitude, to its negative, and back to zero).
     """
 
-    axis: Literal["roll", "pitch", "yaw", "height", "collective", "thrust"]
-    shape: Literal["step", "doublet", "sine", "multisine", "chirp", "random", "trapeze"]
+    axis: Axis
+    shape: Shape
     amplitude: float
     period_s: float = 1.0
     start_s: float = 0.0
@@ -82,7 +85,7 @@ class Excitation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A stretch of a programme."""
 
-    kind: Literal["rest", "fly", "bench", "hand"]
+    kind: Kind
     seconds: float
     height_m: float = 0.8
     thrust: float = 0.0
@@ -158,13 +161,12 @@ class Sticks:
         """The segment of that running number, which counts repetitions on, from a tick on. Behind
         the last of all the motors are off, for an hour at a time."""
         segments, repeat = self._programme.segment, self._programme.repeat
-        if number >= len(segments) and repeat is None:
-            return _Held(number, start, _idle(round(3600.0 / TICK_S)))
-        if number >= len(segments):
-            repeat = repeat or 0
-            segment = segments[repeat + (number - len(segments)) % (len(segments) - repeat)]
-        else:
-            segment = segments[number]
+        place, behind = number, number - len(segments)
+        if behind >= 0:
+            if repeat is None:
+                return _Held(number, start, _idle(round(3600.0 / TICK_S)))
+            place = repeat + behind % (len(segments) - repeat)
+        segment = segments[place]
         generator = np.random.default_rng((self._seed, number))
         table = _segment_rows(segment, round(segment.seconds / TICK_S), generator)
         return _Held(number, start, table)
@@ -246,94 +248,74 @@ def _signal(
     return levels[(time / period + 1e-9).astype(int)]
 
 
-def _excite(axis: str, shape: str, amplitude: float, **more: float) -> Excitation:
-    return msgspec.convert(
-        {"axis": axis, "shape": shape, "amplitude": amplitude, **more}, Excitation
-    )
+def _excite(axis: Axis, shape: Shape, amplitude: float, **more: float) -> Excitation:
+    return Excitation(axis=axis, shape=shape, amplitude=amplitude, **more)
 
 
-_TAKE_OFF = (Segment(kind="rest", seconds=4.0), Segment(kind="fly", seconds=5.0))
+def _segment(kind: Kind, seconds: float, *excite: Excitation, **more: float) -> Segment:
+    return Segment(kind=kind, seconds=seconds, excite=excite, **more)
+
+
+def _programme(name: str, *segments: Segment, repeat: int | None = None) -> Programme:
+    return Programme(name=name, segment=segments, repeat=repeat)
+
+
+_TAKE_OFF = (_segment("rest", 4.0), _segment("fly", 5.0))
 _EXCITE = (
-    Segment(kind="fly", seconds=6.0, excite=(_excite("roll", "doublet", 9.0, period_s=1.5),)),
-    Segment(kind="fly", seconds=6.0, excite=(_excite("pitch", "doublet", 9.0, period_s=1.5),)),
-    Segment(kind="fly", seconds=6.0, excite=(_excite("yaw", "doublet", 90.0, period_s=1.5),)),
-    Segment(
-        kind="fly",
-        seconds=12.0,
-        excite=(
-            _excite("roll", "random", 9.0, period_s=0.35),
-            _excite("pitch", "random", 9.0, period_s=0.35),
-            _excite("yaw", "random", 80.0, period_s=0.5),
-            _excite("height", "random", 0.15, period_s=2.0),
-        ),
+    _segment("fly", 6.0, _excite("roll", "doublet", 9.0, period_s=1.5)),
+    _segment("fly", 6.0, _excite("pitch", "doublet", 9.0, period_s=1.5)),
+    _segment("fly", 6.0, _excite("yaw", "doublet", 90.0, period_s=1.5)),
+    _segment(
+        "fly",
+        12.0,
+        _excite("roll", "random", 9.0, period_s=0.35),
+        _excite("pitch", "random", 9.0, period_s=0.35),
+        _excite("yaw", "random", 80.0, period_s=0.5),
+        _excite("height", "random", 0.15, period_s=2.0),
     ),
-    Segment(kind="fly", seconds=4.0),
+    _segment("fly", 4.0),
 )
+_MOVED = _segment(
+    "bench",
+    60.0,
+    _excite("thrust", "random", 14000.0, period_s=0.4),
+    _excite("thrust", "multisine", 3000.0, low_hz=0.1, high_hz=2.0),
+    thrust=33000.0,
+)
+_TURNED = _segment(
+    "hand",
+    20.0,
+    _excite("roll", "trapeze", 50.0, start_s=1.0, end_s=9.0),
+    _excite("pitch", "trapeze", 40.0, start_s=4.0, end_s=14.0),
+    _excite("yaw", "trapeze", 70.0, start_s=7.0, end_s=18.0),
+)
+_LANDING = (_segment("fly", 4.0, height_m=0.0), _segment("rest", 3.0))
+_EACH_AXIS = (
+    _segment("hand", 5.0, _excite("roll", "trapeze", 40.0)),
+    _segment("hand", 5.0, _excite("pitch", "trapeze", 40.0)),
+    _segment("hand", 5.0, _excite("yaw", "trapeze", 60.0)),
+)
+_STILL = _segment("hand", 4.0)
 
 BUILT_IN: dict[str, Programme] = {
-    # Take off, hover, then move each axis and all together, for ever.
-    "excite": Programme(name="excite", segment=_TAKE_OFF + _EXCITE, repeat=2),
-    "hover": Programme(name="hover", segment=_TAKE_OFF, repeat=1),
-    # For clients: stands with motors off until somebody commands.
-    "wait": Programme(name="wait", segment=(Segment(kind="rest", seconds=10.0),), repeat=0),
-    # Thesis 7.3.3: 30 s still, take off, hover, all axes, land.
-    "thesis_flight": Programme(
-        name="thesis_flight",
-        segment=(
-            Segment(kind="rest", seconds=30.0),
-            Segment(kind="fly", seconds=5.0),
-            *_EXCITE,
-            Segment(kind="fly", seconds=4.0, height_m=0.0),
-            Segment(kind="rest", seconds=3.0),
+    one.name: one
+    for one in (
+        # Take off, hover, then move each axis and all together, for ever.
+        _programme("excite", *_TAKE_OFF, *_EXCITE, repeat=2),
+        _programme("hover", *_TAKE_OFF, repeat=1),
+        # For clients: stands with motors off until somebody commands.
+        _programme("wait", _segment("rest", 10.0), repeat=0),
+        # Thesis 7.3.3: 30 s still, take off, hover, all axes, land.
+        _programme(
+            "thesis_flight", _segment("rest", 30.0), _segment("fly", 5.0), *_EXCITE, *_LANDING
         ),
-    ),
-    # For clients: fixed on the bench, motors off until somebody commands.
-    "bench": Programme(
-        name="bench", segment=(Segment(kind="bench", seconds=10.0, thrust=0.0),), repeat=0
-    ),
-    # Thesis 7.2.1: fixed on the bench, thrust moved arbitrarily.
-    "motor_bench": Programme(
-        name="motor_bench",
-        segment=(
-            Segment(kind="rest", seconds=4.0),
-            Segment(
-                kind="bench",
-                seconds=60.0,
-                thrust=33000.0,
-                excite=(
-                    _excite("thrust", "random", 14000.0, period_s=0.4),
-                    _excite("thrust", "multisine", 3000.0, low_hz=0.1, high_hz=2.0),
-                ),
-            ),
-        ),
-        repeat=1,
-    ),
-    # Thesis 6.2.2: picked up, turned by hand, put back to the same place.
-    "hand_rotation": Programme(
-        name="hand_rotation",
-        segment=(
-            Segment(kind="hand", seconds=4.0),
-            Segment(
-                kind="hand",
-                seconds=20.0,
-                excite=(
-                    _excite("roll", "trapeze", 50.0, start_s=1.0, end_s=9.0),
-                    _excite("pitch", "trapeze", 40.0, start_s=4.0, end_s=14.0),
-                    _excite("yaw", "trapeze", 70.0, start_s=7.0, end_s=18.0),
-                ),
-            ),
-            Segment(kind="hand", seconds=6.0),
-        ),
-    ),
-    # Thesis 6.3: about roll, then pitch, then yaw, positive first.
-    "axis_check": Programme(
-        name="axis_check",
-        segment=(
-            Segment(kind="hand", seconds=4.0),
-            Segment(kind="hand", seconds=5.0, excite=(_excite("roll", "trapeze", 40.0),)),
-            Segment(kind="hand", seconds=5.0, excite=(_excite("pitch", "trapeze", 40.0),)),
-            Segment(kind="hand", seconds=5.0, excite=(_excite("yaw", "trapeze", 60.0),)),
-            Segment(kind="hand", seconds=3.0),
-        ),
-    ),
+        # For clients: fixed on the bench, motors off until somebody commands.
+        _programme("bench", _segment("bench", 10.0), repeat=0),
+        # Thesis 7.2.1: fixed on the bench, thrust moved arbitrarily.
+        _programme("motor_bench", _segment("rest", 4.0), _MOVED, repeat=1),
+        # Thesis 6.2.2: picked up, turned by hand, put back to the same place.
+        _programme("hand_rotation", _STILL, _TURNED, _segment("hand", 6.0)),
+        # Thesis 6.3: about roll, then pitch, then yaw, positive first.
+        _programme("axis_check", _STILL, *_EACH_AXIS, _segment("hand", 3.0)),
+    )
 }

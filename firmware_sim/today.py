@@ -56,8 +56,11 @@ def thrust_curve(vehicle: Vehicle, release: str | None, model: Model | None = No
     return curve_of(platform, release)
 
 
+LEAST_THRUST = 20000.0  # 16-bit, of the loop of climb (``platform_defaults_cf2.h``)
+
+
 def base_thrust(vehicle: Vehicle) -> float:
-    """16-bit thrust that the loop of climb begins with."""
+    """16-bit thrust that the loop of climb begins with; it asks for ``LEAST_THRUST`` or more."""
     return 30000.0 if platform_of(vehicle) == "brushless" else 36000.0
 
 

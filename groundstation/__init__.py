@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from groundstation.dynamics.vehicle import load_vehicle as load_vehicle
     from groundstation.errors import BadInputError as BadInputError
     from groundstation.errors import GroundStationError as GroundStationError
-    from groundstation.identification.arx.workflow import Criterion as Criterion
-    from groundstation.identification.arx.workflow import identify_arx as identify_arx
-    from groundstation.identification.body.workflow import identify_body as identify_body
-    from groundstation.identification.division import hold_out as hold_out
+    from groundstation.identification.arx import Criterion as Criterion
+    from groundstation.identification.arx import identify_arx as identify_arx
+    from groundstation.identification.body import identify_body as identify_body
+    from groundstation.identification.flight import hold_out as hold_out
     from groundstation.identification.motor.workflow import identify_motor as identify_motor
     from groundstation.identification.report import simulate_run as simulate_run
     from groundstation.identification.runs import Run as Run
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 PUBLIC = {
     "BadInputError": "errors.BadInputError",
     "Client": "service.client.Client",
-    "Criterion": "identification.arx.workflow.Criterion",
+    "Criterion": "identification.arx.Criterion",
     "GroundStationError": "errors.GroundStationError",
     "Model": "dynamics.model.Model",
     "PidGains": "control.firmwares.PidGains",
@@ -82,13 +82,13 @@ PUBLIC = {
     "design_cascade": "control.design.design_cascade",
     "evaluate": "control.linear_loop.evaluate",
     "find_discrepancy": "discrepancy.engine.find_discrepancy",
-    "fit_arx": "identification.arx.workflow.identify_arx",
-    "fit_body": "identification.body.workflow.identify_body",
+    "fit_arx": "identification.arx.identify_arx",
+    "fit_body": "identification.body.identify_body",
     "fit_motor": "identification.motor.workflow.identify_motor",
     "flights_of": "identification.runs.flights_of",
     "fly_reference": "prediction.prediction.fly_reference",
     "gains_text": "control.firmware_loop.gains_text",
-    "hold_out": "identification.division.hold_out",
+    "hold_out": "identification.flight.hold_out",
     "kalman": "attitude.fusion.kalman",
     "live": "service.client.live",
     "load_gains": "control.firmware_loop.load_gains",

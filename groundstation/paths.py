@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import IO
 
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, GroundStationError, RecordingError
 
 HOLE_TIMES, HOLE_LEAST = 1000, 1 << 20
 """A file so much longer than what the disk has of it is a hole; no compression of a file system
@@ -24,6 +24,32 @@ def taken(path: Path) -> str:
     names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     free = next(name for name in names if not name.exists())
     return f"{path} exists already; nothing is ever overwritten: {free.name} is free"
+
+
+@contextmanager
+def reading(path: Path, kind: type[GroundStationError] = RecordingError) -> Iterator[None]:
+    """A block that reads a file: what the system refuses is raised as ``kind``."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{path}: cannot be read: {error.strerror}") from error
+
+
+@contextmanager
+def writing(path: Path, kind: type[GroundStationError] = RecordingError) -> Iterator[None]:
+    """A block that writes a file: the same; BadInputError where a new file's name is taken."""
+    try:
+        yield
+    except FileExistsError as error:
+        raise BadInputError(taken(path)) from error
+    except OSError as error:
+        raise kind(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a new file. Raises BadInputError where there is one, or it cannot be written."""
+    with writing(path, BadInputError), path.open("x", encoding="utf-8") as file:
+        file.write(text)
 
 
 def dated(folder: Path, end: str, time_ns: int) -> Path:

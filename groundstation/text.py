@@ -10,6 +10,9 @@ _CONTROLS = re.compile(
 )
 """C0 and C1 (escape sequences, new lines), what turns the direction of writing, and surrogates."""
 
+NAMED_MOST = 12
+"""Columns, values or series that a sentence names of many."""
+
 
 def printable(text: str) -> str:
     r"""One line for people: what would command a terminal, or UTF-8 cannot carry, is escaped."""
@@ -28,6 +31,12 @@ def listed(names: Sequence[str]) -> str:
     """``a, b and c``; of at least one name."""
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def some(names: Sequence[str], most: int = NAMED_MOST) -> str:
+    """``a, b and 3 more``."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def counted(number: int, noun: str) -> str:

@@ -4,9 +4,10 @@ the axes.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -111,10 +112,7 @@ class KalmanNoise:
 
 @dataclass(frozen=True, slots=True)
 class KalmanEstimate:
-    """Outcome of ``kalman``.
-
-    attitude: (n, 3) roll, pitch, yaw in rad. bias: (n, 3) offsets of the Euler rates, rad/s.
-    """
+    """attitude: (n, 3) roll, pitch, yaw in rad. bias: (n, 3) offsets of the Euler rates, rad/s."""
 
     attitude: Array
     bias: Array
@@ -150,7 +148,7 @@ def kalman(
 
     The input is the Euler rate from the gyro (6.3), the measurement the accelerometer's angle.
     Yaw has no measurement: its bias stays zero, and an offset of the gyro drifts into it. Subtract
-    ``sensors.rest_bias`` from the gyro where the recording starts at rest.
+    ``rest_bias`` from the gyro where the recording starts at rest.
 
     time_s: (n,). gyro: (n, 3) rad/s. accelerometer: (n, 3), any unit.
     """
@@ -220,19 +218,16 @@ class Fused:
 
     def moved_deg(self) -> dict[str, list[float]]:
         """End minus start, by method, of the rows that have angles."""
-        return {name: _moved_deg(angles) for name, angles in self.angles.items()}
+        return {
+            name: [float(np.degrees(_moved(axis[np.isfinite(axis)]))) for axis in angles.T]
+            for name, angles in self.angles.items()
+        }
 
 
-def _moved_deg(angles: Array) -> list[float]:
-    """The last less the first of each axis of (n, 3), of the rows that have it, both by straight
-    lines through what is around them."""
-    moved = []
-    for axis in angles.T:
-        known = axis[np.isfinite(axis)]
-        ends = max(1, min(len(known) // END_SHARE, END_ROWS))
-        first, last = _at_start(known[:ends]), _at_start(known[::-1][:ends])
-        moved.append(last - first)
-    return [float(one) for one in np.degrees(moved)]
+def _moved(angle: Array) -> float:
+    """The last less the first of (n,), both by straight lines through what is around them."""
+    ends = max(1, min(len(angle) // END_SHARE, END_ROWS))
+    return _at_start(angle[::-1][:ends]) - _at_start(angle[:ends])
 
 
 def _at_start(values: Array) -> float:
@@ -331,34 +326,39 @@ def fusion_page(fused: Fused, name: str) -> Page:
 
 def angles_figure(fused: Fused, methods: tuple[str, ...]) -> Figure:
     """Angles by method in deg, one panel an axis."""
-    made, every = figure(height=6.0, rows=3, sharex=True)
-    for i, (axes, name) in enumerate(zip(every, AXES, strict=True)):
-        for method in methods:
-            angle = np.degrees(fused.angles[method][:, i])
-            if np.isfinite(angle).any():
-                faint = method == "accelerometer"
-                axes.plot(
-                    *thinned(fused.time_s, angle),
-                    color=COLOURS[method],
-                    linewidth=0.5 if faint else 1.3,
-                    alpha=0.5 if faint else 1.0,
-                    linestyle="--" if method == "reported" else "-",
-                    label=method,
-                )
-        axes.set_ylabel(f"{name}, deg")
-    legend_above(every[0])
-    every[-1].set_xlabel("time, s")
-    return made
+    more: dict[str, dict[str, Any]] = {
+        "accelerometer": {"linewidth": 0.5, "alpha": 0.5},
+        "reported": {"linestyle": "--"},
+    }
+    lines: dict[str, Line] = {
+        method: (fused.angles[method], {"color": COLOURS[method], **more.get(method, {})})
+        for method in methods
+    }
+    return _panels(fused.time_s, lines, 6.0)
 
 
 def _differences(fused: Fused) -> Figure:
-    made, every = figure(height=5.0, rows=3, sharex=True)
-    for i, (axes, name) in enumerate(zip(every, AXES, strict=True)):
-        for method in FILTERS:
-            left = fused.angles[method][:, i] - fused.angles["reported"][:, i]
-            axes.plot(*thinned(fused.time_s, np.degrees(left)), color=COLOURS[method], label=method)
-        axes.set_ylabel(f"{name}, deg")
-    legend_above(every[0])
+    reported = fused.angles["reported"]
+    lines: dict[str, Line] = {
+        method: (fused.angles[method] - reported, {"color": COLOURS[method]}) for method in FILTERS
+    }
+    return _panels(fused.time_s, lines, 5.0)
+
+
+Line = tuple[Array, dict[str, Any]]
+"""Angles (n, 3) in rad and how they are drawn."""
+
+
+def _panels(time_s: Array, lines: Mapping[str, Line], height: float) -> Figure:
+    """Angles by name in deg, one panel an axis; none where there are none."""
+    made, every = figure(height=height, rows=3, sharex=True)
+    for i, (axes, axis) in enumerate(zip(every, AXES, strict=True)):
+        for name, (angles, style) in lines.items():
+            if np.isfinite(angles[:, i]).any():
+                axes.plot(*thinned(time_s, np.degrees(angles[:, i])), label=name, **style)
+        axes.set_ylabel(f"{axis}, deg")
+    if every[0].lines:
+        legend_above(every[0])
     every[-1].set_xlabel("time, s")
     return made
 
@@ -424,8 +424,15 @@ def check_axes(samples: SampleBatch) -> AxisCheck:
 
     Raises BadInputError where the recording is too short or has no gyro.
     """
-    time = _usable_time(samples)
-    gyro = samples.gyro.astype(np.float64)
+    time = samples.time_s
+    if len(samples) < 100 or time[-1] - time[0] < LEAST_SECONDS:
+        raise BadInputError(
+            f"axis check: {len(samples)} rows are too short; record all three turns"
+            f" (at least {LEAST_SECONDS:.0f} s)"
+        )
+    if not np.isfinite(samples.gyro).all():
+        raise BadInputError("axis check: the recording has no gyro; use one that has")
+    time, gyro = time - time[0], samples.gyro.astype(np.float64)
     bias = rest_bias(time, gyro)
     gyro = gyro - (np.zeros(3) if bias is None else bias)
     force = samples.accelerometer.astype(np.float64) / STANDARD_GRAVITY
@@ -451,18 +458,6 @@ def check_axes(samples: SampleBatch) -> AxisCheck:
             " not +1 g on z: lay the craft level to start with"
         )
     return AxisCheck(tuple(findings), tuple(unclear))
-
-
-def _usable_time(samples: SampleBatch) -> Array:
-    time = samples.time_s
-    if len(samples) < 100 or time[-1] - time[0] < LEAST_SECONDS:
-        raise BadInputError(
-            f"axis check: {len(samples)} rows are too short; record all three turns"
-            f" (at least {LEAST_SECONDS:.0f} s)"
-        )
-    if not np.isfinite(samples.gyro).all():
-        raise BadInputError("axis check: the recording has no gyro; use one that has")
-    return time - time[0]
 
 
 def _turns(source: str, time: Array, signals: Array) -> tuple[list[AxisFinding], list[str]]:
@@ -507,7 +502,7 @@ def axis_page(samples: SampleBatch, check: AxisCheck, apart: list[str], name: st
     page = Page(f"Axes of {name}", f"{len(samples)} rows")
     kind = {"as_expected": "good", "wrong_axes": "bad"}.get(check.verdict, "neutral")
     page.verdict(check.verdict.replace("_", " ").capitalize() + ".", kind)
-    page.bullets([str(one) for one in check.findings] + list(check.unclear) + apart)
+    page.bullets([*map(str, check.findings), *check.unclear, *apart])
     page.heading("The turns")
     page.figure(
         axis_figure(samples),
@@ -519,21 +514,16 @@ def axis_page(samples: SampleBatch, check: AxisCheck, apart: list[str], name: st
 
 def axis_figure(samples: SampleBatch) -> Figure:
     """Each axis by the gyro's integral, by gravity, and as reported, in deg."""
-    time = samples.time_s - samples.time_s[0]
     tilt = accelerometer_attitude(samples.accelerometer)
     shown = {
         "gyro, integrated": integrate_gyroscope(samples.time_s, samples.gyro),
         "accelerometer": np.column_stack([tilt, np.full(len(tilt), np.nan)]),
         "reported": np.unwrap(samples.attitude.astype(np.float64), axis=0),
     }
-    made, every = figure(height=5.0, rows=3, sharex=True)
-    for axis, (axes, name) in enumerate(zip(every, AXES, strict=True)):
-        for color, (source, angles) in zip((*SERIES[:2], MEASURED), shown.items(), strict=True):
-            angle = np.degrees(angles[:, axis] - angles[:50, axis].mean())
-            if np.isfinite(angle).any():
-                style = "--" if source == "reported" else "-"
-                axes.plot(*thinned(time, angle), style, color=color, label=source)
-        axes.set_ylabel(f"{name}, deg")
-    legend_above(every[0])
-    every[-1].set_xlabel("time, s")
-    return made
+    lines: dict[str, Line] = {
+        name: (angles - angles[:50].mean(axis=0), {"color": color, "linestyle": style})
+        for (name, angles), color, style in zip(
+            shown.items(), (*SERIES[:2], MEASURED), ("-", "-", "--"), strict=True
+        )
+    }
+    return _panels(samples.time_s - samples.time_s[0], lines, 5.0)

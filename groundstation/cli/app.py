@@ -25,7 +25,8 @@ COMMANDS = (
     "thesis",
     "install",
 )
-"""The modules that add commands, in the order of ``--help``."""
+"""The modules whose ``add_commands(app)`` adds commands, in the order of ``--help``. What the page
+may begin as well stands in ``service/jobs.py``."""
 
 app = Commands(
     name="groundstation",

@@ -12,14 +12,13 @@ from groundstation import BadInputError
 from groundstation.cli.model_files import (
     AS_JSON,
     HTML,
+    answer,
     open_one,
     require_new,
-    say_written,
     tell_rejected,
     with_reasons,
     write_table,
 )
-from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
     from groundstation.attitude.fusion import KalmanNoise
@@ -54,9 +53,7 @@ def attitude(
 
     from groundstation.attitude.fusion import fuse
 
-    for path in (output, html):
-        if path is not None:
-            require_new(path)
+    require_new(output, html)
     given = _noise(noise)
     opened = open_one(recording)
     with with_reasons([opened], f"{recording}: "):
@@ -80,21 +77,16 @@ def attitude(
         "end_minus_start_deg": moved,
     }
     tell_rejected([opened])
-    if as_json:
-        show_json(report)
-        return
-    _show_moved(moved)
-    if bias is None:
-        show("no rest at the start: the gyro's offset was not subtracted from the Kalman input")
-    say_written(output, html)
-
-
-def _show_moved(moved: dict[str, list[float]]) -> None:
-    show("end minus start, deg      roll     pitch       yaw")
+    lines = ["end minus start, deg      roll     pitch       yaw"]
     for name, values in moved.items():
         known = "".join(f"{value:10.2f}" for value in values)
         there = any(math.isfinite(value) for value in values)
-        show(f"  {name:<18}" + (known if there else "    not in the file"))
+        lines.append(f"  {name:<18}" + (known if there else "    not in the file"))
+    if bias is None:
+        lines.append(
+            "no rest at the start: the gyro's offset was not subtracted from the Kalman input"
+        )
+    answer(as_json, report, lines, output, html)
 
 
 def _noise(text: str) -> KalmanNoise:
@@ -121,10 +113,9 @@ def axes(
     Example: [bold]groundstation axes turned.mcap --html axes.html[/bold]
     """
     from groundstation import check_axes
-    from groundstation.recording.soundness import contradictions
+    from groundstation.recording.quality import contradictions
 
-    if html is not None:
-        require_new(html)
+    require_new(html)
     opened = open_one(recording)
     tell_rejected([opened])
     samples = opened.samples
@@ -141,10 +132,5 @@ def axes(
         "unclear": list(check.unclear),
         "contradictions": apart,
     }
-    if as_json:
-        show_json(report)
-        return
-    show(f"{check.verdict.replace('_', ' ')}")
-    for line in (*report["findings"], *report["unclear"], *apart):
-        show(f"  {line}")
-    say_written(html)
+    details = (f"  {line}" for line in (*report["findings"], *report["unclear"], *apart))
+    answer(as_json, report, [check.verdict.replace("_", " "), *details], html)

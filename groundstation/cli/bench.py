@@ -8,19 +8,16 @@ import typer
 
 from groundstation import Pilot, socket_path
 from groundstation.cli.flying import (
-    Changes,
+    Flight,
     SetpointClock,
-    await_connection,
     commanded,
-    fly_recorded,
     require_consent,
-    require_ended,
     require_ready,
     stopped_after,
     stops_begun,
 )
-from groundstation.cli.model_files import AS_JSON
-from groundstation.cli.terminal import Commands, say, show, show_json
+from groundstation.cli.model_files import AS_JSON, answer
+from groundstation.cli.terminal import Commands, say
 
 if TYPE_CHECKING:
     from groundstation.control.programme import ThrustProfile
@@ -77,42 +74,34 @@ def motor(
     )
     require_drivable(planned)
     if dry_run:
-        if as_json:
-            show_json({"profile": planned.as_dict()})
-            return
-        show(f"{profile} between {low:.0%} and {high:.0%} of full thrust, {seconds:g} s")
-        show(WARNING.format(high=high, seconds=seconds))
+        what = f"{profile} between {low:.0%} and {high:.0%} of full thrust, {seconds:g} s"
+        warning = WARNING.format(high=high, seconds=seconds)
+        answer(as_json, {"profile": planned.as_dict()}, [what, warning])
         return
     report = _drive(planned, yes)
-    require_ended(report, "bench")
-    if as_json:
-        show_json(report)
-    else:
-        show(f"recording: {report['recording']}; 'groundstation fit motor' fits it")
+    line = f"recording: {report['recording']}; 'groundstation fit motor' fits it"
+    answer(as_json, report, [line])
 
 
 def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:
     """Everything that touches the craft; what happened."""
-    path = socket_path()
-    await_connection(path)
-    with commanded(CLIENT, stops_begun(path)) as pilot:
+    with commanded(CLIENT, stops_begun(socket_path())) as pilot:
         uri = pilot.lease["uri"]
         at_rest = require_ready(pilot, needs_battery=True)
         say(WARNING.format(high=profile.high, seconds=profile.seconds), error=True)
         if not (yes or pilot.lease["software"]):
             require_consent(pilot, f"{uri}: fixed, and clear of people?", "not driven")
         say(f"{uri}: Ctrl-C stops", error=True)
-        report = fly_recorded(
-            pilot,
-            Changes({}, {}),
+        ended = Flight(pilot).fly(
             lambda signals: stopped_after(lambda: _follow(pilot, profile, at_rest), pilot, signals),
             f"{CLIENT} begins",
             profile=profile.as_dict(),
         )
+    ended.require("bench")
     return {
-        "aborted": report.ended.why,
-        "motors": report.ended.motors,
-        "recording": report.recording,
+        "aborted": ended.why,
+        "motors": ended.motors,
+        "recording": ended.recording,
         "profile": profile.as_dict(),
     }
 

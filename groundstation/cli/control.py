@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation import Client, GroundStationError, socket_path
-from groundstation.cli.model_files import AS_JSON, add_config
+from groundstation.cli.model_files import AS_JSON, answer, config
 from groundstation.cli.terminal import Commands, own_terminal, require_yes, show, show_json
 from groundstation.links.command import is_software
 from groundstation.links.factory import KINDS
@@ -41,9 +41,9 @@ def add_commands(app: typer.Typer) -> None:
     app.command("events")(events)
     app.command("link")(link)
     app.add_typer(record, name="record")
-    add_motors(app)
-    add_page(app)
-    add_config(app)
+    app.add_typer(motors, name="motors")
+    app.command("page")(page)
+    app.command("config")(config)
 
 
 def status(
@@ -57,12 +57,8 @@ def status(
     if watch:
         _watch(as_json)
         return
-    answer = ask(socket_path(), "GET", "/status")
-    if as_json:
-        show_json(answer)
-        return
-    for name, text in status_rows(answer):
-        show(f"{name:<11}{text}")
+    found = ask(socket_path(), "GET", "/status")
+    answer(as_json, found, (f"{name:<11}{text}" for name, text in status_rows(found)))
 
 
 def status_rows(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -117,13 +113,13 @@ def events(as_json: bool = AS_JSON) -> None:
 
     Example: [bold]groundstation events[/bold]
     """
-    answer = ask(socket_path(), "GET", "/events")
-    if as_json:
-        show_json(answer)
-        return
-    for event in answer:
-        moment = time.strftime("%H:%M:%S", time.localtime(event["time_ns"] * 1e-9))
-        show(f"{moment}  {event['link']:<24} {event['kind']:<11}{event['text']}")
+    found = ask(socket_path(), "GET", "/events")
+    lines = (
+        f"{time.strftime('%H:%M:%S', time.localtime(event['time_ns'] * 1e-9))}"
+        f"  {event['link']:<24} {event['kind']:<11}{event['text']}"
+        for event in found
+    )
+    answer(as_json, found, lines)
 
 
 def link(
@@ -137,11 +133,8 @@ def link(
     kind, _, file = name.partition(":")
     if kind == "replay" and Path(file).exists():  # from here, which need not be the daemon's folder
         name = f"replay:{Path(file).absolute()}"
-    answer = ask(socket_path(), "POST", "/link", {"name": name})
-    if as_json:
-        show_json(answer)
-        return
-    show(f"{answer['link']['name']}  {answer['link']['state']}")
+    found = ask(socket_path(), "POST", "/link", {"name": name})
+    answer(as_json, found, [f"{found['link']['name']}  {found['link']['state']}"])
 
 
 @record.command("start")
@@ -150,7 +143,8 @@ def record_start(as_json: bool = AS_JSON) -> None:
 
     Example: [bold]groundstation record start[/bold]
     """
-    _report(ask(socket_path(), "POST", "/record/start"), as_json)
+    recording = ask(socket_path(), "POST", "/record/start")
+    answer(as_json, recording, [_recording_line(recording)])
 
 
 @record.command("stop")
@@ -159,7 +153,8 @@ def record_stop(as_json: bool = AS_JSON) -> None:
 
     Example: [bold]groundstation record stop[/bold]
     """
-    _report(ask(socket_path(), "POST", "/record/stop"), as_json)
+    recording = ask(socket_path(), "POST", "/record/stop")
+    answer(as_json, recording, [_recording_line(recording)])
 
 
 @record.command("mark")
@@ -168,11 +163,8 @@ def record_mark(text: str = typer.Argument(help="The note."), as_json: bool = AS
 
     Example: [bold]groundstation record mark "new propellers"[/bold]
     """
-    answer = ask(socket_path(), "POST", "/record/mark", {"text": text})
-    if as_json:
-        show_json(answer, indent=None)
-    else:
-        show("marked")
+    marked = ask(socket_path(), "POST", "/record/mark", {"text": text})
+    answer(as_json, marked, ["marked"], indent=None)
 
 
 def _watch(as_json: bool) -> None:
@@ -212,13 +204,6 @@ def _screen(answer: dict[str, Any]) -> Table:
     return table
 
 
-def _report(recording: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        show_json(recording)
-    else:
-        show(_recording_line(recording))
-
-
 def _recording_line(recording: dict[str, Any]) -> str:
     if recording["file"] is None:
         return "off"
@@ -232,11 +217,9 @@ def _duration(seconds: float) -> str:
     minutes, second = divmod(round(seconds), 60)
     hours, minute = divmod(minutes, 60)
     days, hour = divmod(hours, 24)
-    return (
-        f"{days} d {hour:02d}:{minute:02d}:{second:02d}"
-        if days
-        else (f"{hour}:{minute:02d}:{second:02d}" if hour else f"{minute}:{second:02d} min")
-    )
+    if days:
+        return f"{days} d {hour:02d}:{minute:02d}:{second:02d}"
+    return f"{hour}:{minute:02d}:{second:02d}" if hour else f"{minute}:{second:02d} min"
 
 
 # ``motors``: what an operator may do to the motors, whoever commands.
@@ -250,10 +233,6 @@ motors = Commands(
     ),
     no_args_is_help=True,
 )
-
-
-def add_motors(app: typer.Typer) -> None:
-    app.add_typer(motors, name="motors")
 
 
 @motors.command("stop")
@@ -298,7 +277,7 @@ def arm(
         question = f"{command['uri']}: clear of people, propellers may turn; arm its motors?"
         require_yes(question, "not armed")
     ask(socket_path(), "POST", "/command/arm", {"on": True})
-    _state("armed", as_json)
+    answer(as_json, {"motors": "armed"}, ["armed"])
 
 
 @motors.command("disarm")
@@ -308,7 +287,7 @@ def disarm(as_json: bool = AS_JSON) -> None:
     Example: [bold]groundstation motors disarm[/bold]
     """
     ask(socket_path(), "POST", "/command/arm", {"on": False})
-    _state("disarmed", as_json)
+    answer(as_json, {"motors": "disarmed"}, ["disarmed"])
 
 
 @motors.command("recover")
@@ -318,34 +297,17 @@ def recover(as_json: bool = AS_JSON) -> None:
     Example: [bold]groundstation motors recover[/bold]
     """
     ask(socket_path(), "POST", "/command/recover")
-    _state("recovered", as_json)
+    answer(as_json, {"motors": "recovered"}, ["recovered"])
 
 
 def _end(how: str, done: tuple[str, ...], as_json: bool) -> None:
     """Ask for the end of whatever flies. Raises GroundStationError unless it is one of ``done``."""
-    answer = ask(socket_path(), "POST", f"/command/{how}")
-    motors, ended = answer["motors"], answer["ended"]
+    said = ask(socket_path(), "POST", f"/command/{how}")
+    motors, ended = said["motors"], said["ended"]
     more = "".join(f"; {kind} was ended" for kind in ended) + "; nobody is in control now"
     if motors not in done:
         raise GroundStationError(motors + more)
-    if as_json:
-        show_json({"motors": motors, "ended": ended})
-    else:
-        show(motors + more)
-
-
-def _state(state: str, as_json: bool) -> None:
-    if as_json:
-        show_json({"motors": state})
-    else:
-        show(state)
-
-
-# ``groundstation page``: another address of the running daemon's page.
-
-
-def add_page(app: typer.Typer) -> None:
-    app.command("page")(page)
+    answer(as_json, {"motors": motors, "ended": ended}, [motors + more])
 
 
 def page(as_json: bool = AS_JSON) -> None:
@@ -353,8 +315,5 @@ def page(as_json: bool = AS_JSON) -> None:
 
     Example: [bold]groundstation page[/bold]
     """
-    answer = ask(socket_path(), "POST", "/page/address")
-    if as_json:
-        show_json(answer)
-    else:
-        show(answer["url"])
+    found = ask(socket_path(), "POST", "/page/address")
+    answer(as_json, found, [found["url"]])

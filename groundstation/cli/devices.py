@@ -12,8 +12,7 @@ from typing import Any
 import typer
 
 from groundstation import BadInputError
-from groundstation.cli.model_files import AS_JSON
-from groundstation.cli.terminal import show, show_json
+from groundstation.cli.model_files import AS_JSON, answer
 from groundstation.errors import TakenError
 from groundstation.telemetry.packet import INTERFACE
 
@@ -124,31 +123,28 @@ def devices(
 
     Example: [bold]groundstation devices[/bold]
     """
-
     from groundstation.service.config import load_config
 
     usb, problem = usb_devices(load_config(config).usb.device)
     found, unseen = craft_in_reach(usb) if craft else ([], "")
     rows = [*serial_ports(), *usb, *found]
     problem = "; ".join(filter(None, (problem, unseen)))
-    if as_json:
-        show_json({"devices": rows, "usb_problem": problem or None})
-        return
+    lines = []
     for row in rows:
         state = f"usable: --link {row['link']}" if row["usable"] else row["why"]
-        show(f"{row['kind']:<8}{row['name']:<20}{state}")
+        lines.append(f"{row['kind']:<8}{row['name']:<20}{state}")
         if row["description"]:
-            show(f"{'':<28}{row['description']}")
+            lines.append(f"{'':<28}{row['description']}")
     if not any(row["link"] for row in rows):
-        show("no serial port and no telemetry bridge is plugged in")
+        lines.append("no serial port and no telemetry bridge is plugged in")
     if problem:
-        show(f"usb     {problem}")
+        lines.append(f"usb     {problem}")
+    answer(as_json, {"devices": rows, "usb_problem": problem or None}, lines)
 
 
 def craft_in_reach(usb: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str]:
     """Stock craft that answer a dongle or cable among ``usb``, and why they cannot be looked for.
     Keys as ``usb_devices``."""
-
     from groundstation.links.command import LOOKED_THROUGH, in_reach, ways_of
     from groundstation.service.craft_links import Dongles
 

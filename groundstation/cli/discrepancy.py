@@ -5,7 +5,6 @@ proven.
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,25 +25,18 @@ from groundstation.cli.model_files import (
 )
 from groundstation.cli.model_files import FLOWN_VEHICLE as VEHICLE
 from groundstation.cli.terminal import show, show_json, shown, tell_found
+from groundstation.paths import writing
 
 if TYPE_CHECKING:
     from groundstation import Model
-    from groundstation.comparison.comparison import Place
     from groundstation.discrepancy.engine import Discrepancy
-    from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound, Gap
+    from groundstation.discrepancy.report_json import DiscrepancyReport
     from groundstation.identification.likelihood.motion import Variant
 
 # ``compare``: where a model and recordings disagree.
 
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings of flights.")
-ROWS = 8
-CLEAR = 3.0
-"""Standard deviations of noise energy from which a place is worth naming."""
-
-
-def add_compare(app: typer.Typer) -> None:
-    app.command("compare")(compare)
 
 
 def compare(
@@ -65,6 +57,7 @@ def compare(
     import msgspec
 
     from groundstation import compare as judge
+    from groundstation.discrepancy.report import compare_page, compared_in_lines
     from groundstation.discrepancy.report_json import CompareReport, gap_of
     from groundstation.dynamics.meanings import suitability, verdict
 
@@ -92,63 +85,23 @@ def compare(
             verdict(suitability(loaded)),
         )
         if html is not None:
-            from groundstation.discrepancy.report_html import compare_page
-
             progress(0.8, "drawing the report")
             compare_page(found, report).write(html)
     if as_json:
         show_json(msgspec.json.decode(msgspec.json.encode(report)))
         return
     tell_found(f"gap over all channels {report.gap.validation.before:.2f} (1.00: noise alone)")
-    say_good_for(report.good_for)
-    say_gap(report.gap)
-    say_where(report.where)
+    for line in compared_in_lines(report):
+        show(line)
     say_written(html)
-
-
-def say_good_for(verdict: str) -> None:
-    """What the model is good for, where a fit of it is known."""
-    if verdict:
-        show(f"the model: {verdict[:1].lower()}{verdict[1:]}")
-
-
-def say_gap(gap: Gap) -> None:
-    """The gap of each channel, in words for a terminal."""
-    level = gap.validation
-    after = "" if level.after is None else f", after {level.after:.2f}"
-    show(f"gap over all channels: {level.before:.2f}{after} (1.00: noise alone)")
-    head = "before" if level.after is not None else "gap"
-    show(f"  {'channel':<16}{head:>8}{'' if level.after is None else '   after'}   error")
-    for name, channel in gap.channels.items():
-        own = channel.own_unit
-        later = "" if channel.after is None else f"{channel.after:8.2f}"
-        error = own.before if own.after is None else own.after
-        show(
-            f"  {name:<16}{channel.before:8.2f}{later}   {error:.3g} {own.unit},"
-            f" noise {own.noise_floor:.3g}"
-        )
-
-
-def say_where(rows: list[Place], most: int = ROWS) -> None:
-    """The places that are clearly worse than noise."""
-    clear = [row for row in rows if row.significance >= CLEAR][:most]
-    if not clear:
-        show("nowhere clearly worse than noise")
-        return
-    show("worst, most significant first:")
-    for row in clear:
-        show(f"  {_row(row)}")
-
-
-def _row(row: Place) -> str:
-    return (
-        f"{row.channel:<16}{row.regime:<28}{row.rms:9.3g} {row.unit}, noise {row.expected_rms:.3g}"
-    )
 
 
 # ``discrepancy``: find, name and add what a model is missing, and prove it.
 
 
+GIVEN = typer.Option(
+    None, "--model", help="Model file, or the built-in 'thesis' (default: fitted on these flights)."
+)
 VALIDATE = typer.Option(
     None,
     "--validate",
@@ -169,27 +122,14 @@ RERUN = typer.Option(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Outputs:
-    model: Path | None
-    json: Path | None
-    html: Path | None
-    rerun: Path | None
-
-    def require_new(self) -> None:
-        for path in (self.model, self.json, self.html, self.rerun):
-            if path is not None:
-                require_new(path)
-
-
 def add_commands(app: typer.Typer) -> None:
-    add_compare(app)
+    app.command("compare")(compare)
     app.command("discrepancy")(discrepancy)
 
 
 def discrepancy(
     recordings: list[Path] = RECORDINGS,
-    model: str = MODEL,
+    model: str | None = GIVEN,
     validate: list[Path] | None = VALIDATE,
     vehicle: str | None = VEHICLE,
     effects: Path | None = EFFECTS,
@@ -200,19 +140,24 @@ def discrepancy(
 ) -> None:
     """Find which physical effects a model is missing, add them, and prove it on other flights.
 
+    Without --model the body is fitted on these flights first, beside the motors of --vehicle.
+
     Example: [bold]groundstation discrepancy flight1.mcap flight2.mcap --model body.json
     --validate flight3.mcap -o improved.json --html report.html[/bold]
     """
     import msgspec
 
     from groundstation import __version__, find_discrepancy
+    from groundstation.discrepancy.report import found_in_lines, found_in_short
     from groundstation.discrepancy.report_json import discrepancy_report
 
     printed = json == STDOUT
-    files = _Outputs(output, None if printed else json, html, rerun)
-    files.require_new()
+    files = output, None if printed else json, html, rerun
+    for path in files:
+        if path is not None:
+            require_new(path)
     require_apart(recordings, validate or [])
-    loaded = model_for(model, vehicle)
+    loaded = _base(model, vehicle)
     own = _own(effects)
     with shown("reading") as progress:
         fitted, short = read_flights(recordings, loaded, vehicle)
@@ -224,21 +169,44 @@ def discrepancy(
             [one.runs for one in held],
             own=own,
             left_out=[*short, *held_short, *given],
+            fit_base=model is None,
             progress=lambda what, share: progress(share, what),
         )
         report = discrepancy_report(
             found,
             recordings=[path.name for path in recordings],
             validation=[path.name for path in validate] if validate else found.held_out,
-            model=model,
+            model=model or _fitted_here(found.findings.base),
             created_by=f"groundstation {__version__}",
         )
-        _write(files, found, report)
+        _write(found, report, *files)
     if printed:
         show_json(msgspec.to_builtins(report))
         return
-    _say(report, written=output is not None)
-    say_written(files.model, files.json, files.html, files.rerun)
+    tell_found(", ".join(found_in_short(report)))
+    for line in found_in_lines(report, output is not None):
+        show(line)
+    say_written(*files)
+
+
+def _base(model: str | None, vehicle: str | None) -> Model:
+    """The given model, or that of the profile. Raises BadInputError where neither is given."""
+    from groundstation import BadInputError, load_vehicle, vehicle_model
+
+    if model is not None:
+        return model_for(model, vehicle)
+    if vehicle is None:
+        raise BadInputError(
+            "which model? Give its file with --model, or the craft with --vehicle: then its body is"
+            " fitted on these flights first"
+        )
+    return vehicle_model(load_vehicle(vehicle))
+
+
+def _fitted_here(base: Model) -> str:
+    """What a search began with where no model was given."""
+    body = "its body fitted on these flights" if "body" in base.fit else "the body of its profile"
+    return f"{base.vehicle}, {body}"
 
 
 def _own(path: Path | None) -> list[Variant]:
@@ -252,31 +220,35 @@ def _own(path: Path | None) -> list[Variant]:
     return own_effects(path)
 
 
-def _write(files: _Outputs, found: Discrepancy, report: DiscrepancyReport) -> None:
+def _write(
+    found: Discrepancy,
+    report: DiscrepancyReport,
+    model: Path | None,
+    json: Path | None,
+    html: Path | None,
+    rerun: Path | None,
+) -> None:
     import msgspec
 
     from groundstation import BadInputError
 
-    if files.model is not None:
+    if model is not None:
         from groundstation import save_model
 
-        save_model(_improved(found.findings.model, report), files.model)
-    if files.json is not None:
+        save_model(_improved(found.findings.model, report), model)
+    if json is not None:
         text = msgspec.json.format(msgspec.json.encode(report), indent=2) + b"\n"
-        try:
-            with files.json.open("xb") as file:
-                file.write(text)
-        except OSError as error:
-            raise BadInputError(f"{files.json}: cannot be written: {error.strerror}") from error
-    if files.html is not None:
-        from groundstation.discrepancy.report_html import discrepancy_page
+        with writing(json, BadInputError), json.open("xb") as file:
+            file.write(text)
+    if html is not None:
+        from groundstation.discrepancy.report import discrepancy_page
 
-        discrepancy_page(found.proof, report).write(files.html)
-    if files.rerun is not None:
+        discrepancy_page(found.proof, report).write(html)
+    if rerun is not None:
         from groundstation.discrepancy.rerun_overlay import overlay_of
         from groundstation.viewer.overlay import write_overlay
 
-        write_overlay(overlay_of(found.proof, report), files.rerun)
+        write_overlay(overlay_of(found.proof, report), rerun)
 
 
 def _improved(model: Model, report: DiscrepancyReport) -> Model:
@@ -297,76 +269,3 @@ def _improved(model: Model, report: DiscrepancyReport) -> Model:
         fit={**model.fit, "discrepancy": account},
         created_by=report.created_by,
     )
-
-
-def _say(report: DiscrepancyReport, *, written: bool) -> None:
-    """The outcome in plain words."""
-    from groundstation.discrepancy.report_html import (
-        by_weight,
-        flight_plan,
-        found_in_words,
-        meaning,
-        next_in_words,
-        possible_in_words,
-    )
-    from groundstation.discrepancy.report_json import why_lost
-
-    count = len(report.effects)
-    verdict = {
-        "effects_found": f"{count} effect{'s' if count != 1 else ''} found",
-        "no_discrepancy": "no discrepancy",
-        "unexplained": "unexplained",
-    }[report.verdict]
-    show(verdict)
-    show(found_in_words(report))
-    show(f"next: {next_in_words(report, written)}")
-    say_good_for(report.good_for)
-    if report.explained is not None:
-        show(report.explained.words(report.disturbance))
-    found = [f"changed: {change.words}" for change in report.base_changes]
-    for line in found:
-        show(line)
-    for number, effect in enumerate(by_weight(report.effects), 1):
-        found.append(f"{number}. {effect.name}: {meaning(effect)}")
-        show(found[-1])
-        _say_numbers(effect)
-    tell_found(", ".join([verdict, *found]))
-    for line in possible_in_words(report):
-        show(line)
-    for small in report.candidates:
-        if small.refused_by == "negligible":
-            show(f"{small.name}: {small.reason}")
-    if report.residual == "structured":
-        left = report.residual_detail
-        where = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)
-        show(
-            f"left over: structure in {left.channel}"
-            + (f" at {where} Hz" if where else "")
-            + (f", like {left.signal}" if left.signal else "")
-        )
-    for one in report.left:
-        show(f"left in {one.words}")
-    say_gap(report.gap)
-    say_where(report.where)
-    if report.not_shown:
-        show("these recordings cannot show the rest; one flight with these parts would:")
-        for number, (fly, names) in enumerate(flight_plan(report.not_shown), 1):
-            show(f"  {number}. {fly}: {', '.join(names)}")
-    for reason in dict.fromkeys(report.lost.values()):
-        lost = ", ".join(name for name, why in report.lost.items() if why == reason)
-        show(f"not looked for ({why_lost(reason)}): {lost}")
-    for line in report.warnings:
-        show(f"warning: {line}")
-
-
-def _say_numbers(effect: EffectFound) -> None:
-    from groundstation.discrepancy.report_html import chosen_in_words, is_zero
-
-    for name, estimate in effect.parameters.items():
-        spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
-        zero = ", not distinguishable from zero" if is_zero(estimate) else ""
-        show(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip() + zero)
-    again = "" if effect.recurrence is None else f", {chosen_in_words(effect.recurrence)}"
-    show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}{again}")
-    for other in effect.alternatives:
-        show(f"     could also be {other.name}; to tell: {other.manoeuvre}")

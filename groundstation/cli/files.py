@@ -13,9 +13,10 @@ import numpy as np
 import typer
 
 from groundstation import BadInputError
-from groundstation.cli.model_files import AS_JSON, require_new, write_new
+from groundstation.cli.model_files import AS_JSON, answer, require_new
 from groundstation.cli.terminal import own_terminal, show, show_json, shown, spoken, tell_found
 from groundstation.errors import DamagedRecordingError, RecordingError
+from groundstation.paths import write_new
 from groundstation.text import counted, printable
 
 if TYPE_CHECKING:
@@ -31,13 +32,7 @@ def list_folder(folder: Path, as_json: bool) -> None:
     from groundstation.recording.mcap_scan import catalogue
 
     found = [entry.as_dict() for entry in catalogue(folder)]
-    if as_json:
-        show_json(found)
-        return
-    if not found:
-        show(f"no recordings in {folder}")
-    for entry in found:
-        show(_line(entry))
+    answer(as_json, found, map(_line, found) if found else [f"no recordings in {folder}"])
 
 
 def _line(entry: dict[str, Any]) -> str:
@@ -362,12 +357,13 @@ def convert(
     Example: [bold]groundstation convert flight.mcap flight.csv --physical[/bold]
     """
     from groundstation.recording.formats import writer_of
+    from groundstation.recording.session import CHANNELS
 
     if target is None and not ask_map:
         raise typer.BadParameter("give the new file's name", param_hint="OUT")
     if target is not None:
         writer = writer_of(target, physical=physical, ros2_hz=ros2)
-        require_new(target)
+    require_new(target)
     if ask_map:
         columns = _new_map(source, columns, as_json=as_json)
     if target is None:
@@ -379,7 +375,9 @@ def convert(
         _give_supply(recording, supply_v)
     with shown(f"writing {target}"):
         writer(recording, target)
-    _tell_written(recording, target, as_json)
+    names = [one.name for one in CHANNELS if one.is_in(recording.samples)]
+    told = {"file": str(target), "samples": len(recording.samples), "channels": names}
+    answer(as_json, told, [f"{target}: {len(recording.samples)} samples"])
     if target.suffix.lower() == ".csv" and not physical:
         _warn_of_packets(recording)
     _raise_damage(recording)
@@ -400,31 +398,18 @@ def recover(
 
     from groundstation.recording.mcap_scan import recover as recover_file
 
-    if output is not None:
-        require_new(output)
+    require_new(output)
     with shown(f"reading {file}"):
         report = recover_file(file, output)
-    if as_json:
-        show_json(asdict(report))
-    elif report.sound:
-        show(f"{file}: sound, {report.messages} messages; nothing to do")
+    if report.sound:
+        lines = [f"{file}: sound, {report.messages} messages; nothing to do"]
     else:
-        for line in report.damage:
-            show(f"  {line}")
-        show(
+        lines = [
+            *(f"  {line}" for line in report.damage),
             f"{report.output}: {report.messages} messages kept; {report.bytes_lost} bytes and at "
-            f"most {report.seconds_lost:.2f} s inside damaged places lost"
-        )
-
-
-def _tell_written(recording: Recording, target: Path, as_json: bool) -> None:
-    if not as_json:
-        show(f"{target}: {len(recording.samples)} samples")
-        return
-    from groundstation.recording.session import CHANNELS
-
-    names = [one.name for one in CHANNELS if one.is_in(recording.samples)]
-    show_json({"file": str(target), "samples": len(recording.samples), "channels": names})
+            f"most {report.seconds_lost:.2f} s inside damaged places lost",
+        ]
+    answer(as_json, asdict(report), lines)
 
 
 def _new_map(source: Path, columns: str | None, *, as_json: bool) -> str:
@@ -467,8 +452,7 @@ def _open(
 
 def _warn_of_packets(recording: Recording) -> None:
     """The packet has a place for every channel, and no value that means 'not known'."""
-    from groundstation.recording.column_map import UNCLEAR_METADATA
-    from groundstation.recording.session import CHANNELS, UNUSUAL
+    from groundstation.recording.session import CHANNELS, UNCLEAR_METADATA, UNUSUAL
 
     carried = [channel for channel in CHANNELS if channel.field not in UNUSUAL]
     missing = [channel.name for channel in carried if not channel.is_in(recording.samples)]
@@ -498,37 +482,26 @@ def _raise_damage(recording: Recording) -> None:
         raise DamagedRecordingError(f"{recording.path}: {recording.damage[0]}{also}{repair}")
 
 
-def _packets_line(report: dict[str, Any]) -> str:
-    line = f"{report['raw_packets']}, {report['duplicates']} of them copies"
-    for name in ("malformed", "damaged"):
-        line += f", {report[name]} {name}" * bool(report[name])
-    return line
-
-
-def _renewed(report: dict[str, Any], channel: str) -> str:
-    """How often a channel's values are renewed, where that could be measured."""
-    from groundstation.recording.session import CHANNELS
-
-    field = next(one.field for one in CHANNELS if one.name == channel)
-    hz = report["renewed_hz"].get(field)
-    return "" if hz is None else f"{hz:.4g}"
-
-
 def _print_report(report: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    from groundstation.recording.session import CHANNELS
+
     tell_found(report["verdict"])
     spoken()
     console = Console()
     console.width = max(console.width, TABLE_WIDTH)
+    packets = f"{report['raw_packets']}, {report['duplicates']} of them copies"
+    for name in ("malformed", "damaged"):
+        packets += f", {report[name]} {name}" * bool(report[name])
     facts = [
         ("file", f"{report['file']} ({report['kind']}, link {report['link']})"),
         ("verdict", report["verdict"]),
         ("span", f"{report['duration_s']:.3f} s, {report['segments']} segment(s)"),
         ("samples", f"{report['samples']} at {report['rate_hz']:.2f} Hz"),
-        ("raw packets", _packets_line(report)),
+        ("raw packets", packets),
         ("lost", f"{report['lost_samples']} samples in {report['gap_count']} gap(s)"),
     ]
     facts += [
@@ -550,7 +523,9 @@ def _print_report(report: dict[str, Any]) -> None:
     for name, values in report["ranges"].items():
         numbers = (f"{values[key]:.4g}" for key in ("min", "mean", "max"))
         counts = (str(those.get(name, 0)) for _, those in counted)
-        table.add_row(name, values["unit"], *numbers, *counts, _renewed(report, name))
+        field = next(one.field for one in CHANNELS if one.name == name)
+        hz = report["renewed_hz"].get(field)  # where it could be measured
+        table.add_row(name, values["unit"], *numbers, *counts, "" if hz is None else f"{hz:.4g}")
     console.print(table)
     if report["missing"]:
         missing = ", ".join(report["missing"])

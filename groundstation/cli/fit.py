@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
@@ -33,7 +33,7 @@ from groundstation.paths import digest
 
 if TYPE_CHECKING:
     from groundstation import Model, Recording, Run, Vehicle
-    from groundstation.identification.fit_record import Identified, Progress
+    from groundstation.identification.estimate import Identified, Progress
     from groundstation.identification.runs import Selection
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings; several are fitted together.")
@@ -82,27 +82,12 @@ def fit_motor(
     --with battery_reading_lag,supply_sag[/bold]
     """
 
-    def identify(task: _Task, progress: Progress) -> Identified:
-        return groundstation.fit_motor(
-            task.runs,
-            task.held,
-            task.before,
-            task.vehicle,
-            effect_names(effects),
-            motor - 1,
-            task.selection,
-            progress,
-        )
+    def identify(task: _Task, chosen: Selection, progress: Progress) -> Identified:
+        named = effect_names(effects)
+        return groundstation.fit_motor(*task, named, motor - 1, chosen, progress)
 
-    _carry_out(
-        identify,
-        _Files(recordings, validate or [], output, html, as_json),
-        vehicle,
-        mass,
-        model,
-        segment,
-        motor_runs_in,
-    )
+    given = _Given(recordings, validate, output, vehicle, mass, model, segment, html, as_json)
+    _carry_out(identify, given, motor_runs_in)
 
 
 def fit_body(
@@ -127,28 +112,12 @@ def fit_body(
     -o body.json --with dead_time,rotor_acceleration_torque[/bold]
     """
 
-    def identify(task: _Task, progress: Progress) -> Identified:
-        return groundstation.fit_body(
-            task.runs,
-            task.held,
-            task.before,
-            task.vehicle,
-            effect_names(effects),
-            tie,
-            measured,
-            task.selection,
-            progress,
-        )
+    def identify(task: _Task, chosen: Selection, progress: Progress) -> Identified:
+        named = effect_names(effects)
+        return groundstation.fit_body(*task, named, tie, measured, chosen, progress)
 
-    _carry_out(
-        identify,
-        _Files(recordings, validate or [], output, html, as_json),
-        vehicle,
-        mass,
-        model,
-        segment,
-        bridged_runs_in,
-    )
+    given = _Given(recordings, validate, output, vehicle, mass, model, segment, html, as_json)
+    _carry_out(identify, given, bridged_runs_in)
 
 
 def fit_arx(
@@ -177,96 +146,78 @@ def fit_arx(
     Example: [bold]groundstation fit arx flight.mcap -o arx.json --gyro --html arx.html[/bold]
     """
     from groundstation import Criterion
-    from groundstation.identification.arx.workflow import parse_orders
+    from groundstation.identification.arx import parse_orders
 
-    chosen = criterion or ("prediction" if gyro else "free_run")
-    if chosen not in tuple(Criterion):
-        raise BadInputError(f"--criterion {chosen}: there are {', '.join(Criterion)}")
-
+    named = criterion or ("prediction" if gyro else "free_run")
+    if named not in tuple(Criterion):
+        raise BadInputError(f"--criterion {named}: there are {', '.join(Criterion)}")
+    how = Criterion(named), "gyro" if gyro else "attitude", decimate
     orders = parse_orders(order or ())
 
-    def identify(task: _Task, progress: Progress) -> Identified:
-        return groundstation.fit_arx(
-            task.runs,
-            task.held,
-            task.before,
-            task.vehicle,
-            Criterion(chosen),
-            "gyro" if gyro else "attitude",
-            decimate,
-            task.selection,
-            orders,
-            progress,
-        )
+    def identify(task: _Task, chosen: Selection, progress: Progress) -> Identified:
+        return groundstation.fit_arx(*task, *how, chosen, orders, progress)
 
-    _carry_out(
-        identify,
-        _Files(recordings, validate or [], output, html, as_json),
-        vehicle,
-        mass,
-        model,
-        segment,
-    )
+    given = _Given(recordings, validate, output, vehicle, mass, model, segment, html, as_json)
+    _carry_out(identify, given, runs_in)
 
 
-@dataclass(frozen=True, slots=True)
-class _Files:
-    recordings: Sequence[Path]
-    validate: Sequence[Path]
+class _Given(NamedTuple):
+    """What all fits are given."""
+
+    recordings: list[Path]
+    validate: list[Path] | None
     output: Path
+    vehicle: str | None
+    mass_kg: float | None
+    model: str | None
+    segment: list[str] | None
     html: Path | None
     as_json: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Task:
+class _Task(NamedTuple):
     runs: list[Run]
     held: list[Run]
     before: Model
     vehicle: Vehicle
-    selection: Selection
 
 
 def _carry_out(
-    identify: Callable[[_Task, Progress], Identified],
-    files: _Files,
-    vehicle: str | None,
-    mass_kg: float | None,
-    model: str | None,
-    segment: list[str] | None,
-    read: Callable[[Sequence[Recording]], list[Run]] = runs_in,
+    identify: Callable[[_Task, Selection, Progress], Identified],
+    given: _Given,
+    read: Callable[[Sequence[Recording]], list[Run]],
 ) -> None:
     from groundstation import load_model, parse_selection
     from groundstation.dynamics.model import model_vehicle
+    from groundstation.recording.quality import rejected
     from groundstation.recording.session import vehicle_of
-    from groundstation.recording.soundness import rejected
 
-    for path in (files.output, files.html):
+    held_out = given.validate or []
+    for path in (given.output, given.html):
         if path is not None:
             require_new(path)
-    require_apart(files.recordings, files.validate)
-    selection = parse_selection(tuple(segment or ()))
+    require_apart(given.recordings, held_out)
+    selection = parse_selection(tuple(given.segment or ()))
     with shown("reading") as progress:
-        fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
-        given = load_model(model) if model is not None else None
-        before = model_before(given, vehicle_of([*fit_on, *held], vehicle, given), mass_kg)
-        with with_reasons([*fit_on, *held]):
-            task = _Task(read(fit_on), read(held), before, model_vehicle(before), selection)
-            found = identify(task, progress)
+        fit_on, held = ([open_one(path) for path in p] for p in (given.recordings, held_out))
+        every = [*fit_on, *held]
+        model = load_model(given.model) if given.model is not None else None
+        before = model_before(model, vehicle_of(every, given.vehicle, model), given.mass_kg)
+        with with_reasons(every):
+            task = _Task(read(fit_on), read(held), before, model_vehicle(before))
+            found = identify(task, selection, progress)
         rows = sum(map(len, task.runs))
         lost = rows - sum(len(one.samples) for one in fit_on)
         if lost > 0:
             found.account["warnings"].append(f"{lost} of {rows} rows were lost, and bridged")
-        taken = [line for one in (*fit_on, *held) for line in rejected(one)]
+        taken = [line for one in every for line in rejected(one)]
         found.account["warnings"] = [*taken, *found.account["warnings"]]
-        found.account["warnings"] += _doubts(found, task, [*fit_on, *held])
-        _finish(_with_curve(found, task, fit_on), files, progress)
+        found.account["warnings"] += _doubts(found, task, every)
+        _finish(_with_curve(found, task, fit_on), given, progress)
 
 
 def _with_curve(found: Identified, task: _Task, recordings: Sequence[Recording]) -> Identified:
     """The same with the thrust curve of the craft's firmware, where a body's flights show it."""
-    from dataclasses import replace
-
     import msgspec
 
     from groundstation.control.firmwares import against, firmware_of_vehicle, flown_curve
@@ -285,9 +236,9 @@ def _with_curve(found: Identified, task: _Task, recordings: Sequence[Recording])
 def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> list[str]:
     """What is doubtful of a fit and of what it was made on. Raises BadInputError where its
     estimates are none."""
-    from groundstation.identification.fit_record import require_results
+    from groundstation.identification.estimate import require_results
     from groundstation.identification.runs import renewal_notes
-    from groundstation.recording.soundness import contradictions
+    from groundstation.recording.quality import contradictions
 
     of_recordings = [
         f"{one.path.name}: {line}" for one in recordings for line in contradictions(one.samples)
@@ -298,32 +249,32 @@ def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> 
     return [*of_recordings, *doubts, *(slow if found.account["what"] == "body" else [])]
 
 
-def _finish(found: Identified, files: _Files, progress: Progress) -> None:
+def _finish(found: Identified, given: _Given, progress: Progress) -> None:
     import msgspec
 
     from groundstation import __version__, save_model
     from groundstation.dynamics.model import origin_notes
 
-    given = [_fingerprint(path) for path in files.validate]
-    documented = found.documented(
-        recordings=[_fingerprint(path) for path in files.recordings],
-        held_out=given or found.account["held_out"],
+    fit_on, held = (
+        [{"file": path.name, "sha256": digest(path)} for path in paths or ()]
+        for paths in (given.recordings, given.validate)
     )
+    documented = found.documented(recordings=fit_on, held_out=held or found.account["held_out"])
     account = documented.fit[found.account["what"]]
     whole = msgspec.structs.replace(documented, created_by=f"groundstation {__version__}")
-    save_model(whole, files.output)
-    if files.html is not None:
+    save_model(whole, given.output)
+    if given.html is not None:
         from groundstation.identification.report import report
 
         progress(0.9, "drawing the report")
-        report(whole, account, found.evidence).write(files.html)
-    if files.as_json:
-        show_json(json.loads(files.output.read_bytes()))
+        report(whole, account, found.evidence).write(given.html)
+    if given.as_json:
+        show_json(json.loads(given.output.read_bytes()))
     else:
-        _print_account(whole, account, files.output)
+        _print_account(whole, account, given.output)
         for line in origin_notes(whole):
             show(f"  in the file: {line}")
-        say_written(files.html)
+        say_written(given.html)
 
 
 def _unit_of(name: str) -> str:
@@ -333,12 +284,9 @@ def _unit_of(name: str) -> str:
     return " rad/s" if name.startswith("gyro") else " m/s^2"
 
 
-def _fingerprint(path: Path) -> dict[str, str]:
-    return {"file": path.name, "sha256": digest(path)}
-
-
 def _print_account(whole: Model, account: dict[str, Any], output: Path) -> None:
-    from groundstation.identification.division import LAST
+    from groundstation.identification.estimate import numbers_of
+    from groundstation.identification.flight import LAST
     from groundstation.identification.report import good_for, next_of
 
     show(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
@@ -348,17 +296,12 @@ def _print_account(whole: Model, account: dict[str, Any], output: Path) -> None:
         show(f"  {account['thrust_curve']}")
     if isinstance(account["held_out"], str) and account["held_out"] != LAST:
         show(f"  held out: {account['held_out']} of all rows, so that every axis is fitted")
-    estimates = account.get("estimates")
-    if estimates:
-        names = estimates["names"]
-        width = max(map(len, names))
-        sizes = [
-            f"{value:14.6g} +- {error:.2g}"
-            for value, error in zip(estimates["values"], estimates["stderr"], strict=True)
-        ]
-        for name, size in zip(names, sizes, strict=True):
-            show(f"  {name:<{width}}{size}")
-        tell_found(", ".join(f"{a} {b.strip()}" for a, b in zip(names, sizes, strict=True)))
+    found = numbers_of(account)
+    width = max((len(name) for name, *_ in found), default=0)
+    for name, value, error in found:
+        show(f"  {name:<{width}}{value:14.6g} +- {error:.2g}")
+    if found:
+        tell_found(", ".join(f"{name} {value:.6g} +- {error:.2g}" for name, value, error in found))
     for axis, one in account.get("axes", {}).items():
         tests = ", ".join(
             f"{test.replace('_', ' ')} {'passes' if one[test]['passes'] else 'fails'}"

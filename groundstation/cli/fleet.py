@@ -6,8 +6,15 @@ from pathlib import Path
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, HTML, effect_names, require_new, say_written
-from groundstation.cli.terminal import Commands, show, show_json, shown
+from groundstation.cli.model_files import (
+    AS_JSON,
+    HTML,
+    answer,
+    effect_names,
+    model_for,
+    require_new,
+)
+from groundstation.cli.terminal import Commands, shown
 
 WORKERS = typer.Option(
     None, "--workers", min=1, help="Processes (default: one a core); 1 is this one alone."
@@ -66,19 +73,16 @@ def index(
         rows = recordings_of(output, ("craft", "state", "reason", "sha256"))
     crafts = sorted({row["craft"] for row in rows if row["craft"]})
     copies = sum(row["state"] not in UNFIT for row in rows) - len(usable(rows))
-    if as_json:
-        told = {"recordings": len(rows), "copies": copies, "crafts": crafts}
-        show_json({**asdict(counts), **told})
-        return
-    show(
+    told = {"recordings": len(rows), "copies": copies, "crafts": crafts}
+    lines = [
         f"{output}: {len(rows)} recordings of {len(crafts)} crafts; {counts.read} read,"
         f" {counts.unchanged} unchanged, {counts.gone} gone"
-    )
+    ]
     if copies:
-        show(f"  {copies} are copies of others by their content, and count once")
-    for row in rows:
-        if row["state"] == "damaged":
-            show(f"  damaged: {row['address']}: {row['reason']}")
+        lines.append(f"  {copies} are copies of others by their content, and count once")
+    damaged = [row for row in rows if row["state"] == "damaged"]
+    lines += [f"  damaged: {row['address']}: {row['reason']}" for row in damaged]
+    answer(as_json, {**asdict(counts), **told}, lines)
 
 
 def fit(
@@ -114,13 +118,11 @@ def fit(
             scheduler=scheduler,
             progress=progress,
         )
-    if as_json:
-        show_json(asdict(counts))
-        return
-    show(
+    line = (
         f"{catalogue}: {counts.fitted} flights fitted, {counts.refused} of them told nothing;"
         f" {counts.unchanged} were fitted already, {counts.short} too short"
     )
+    answer(as_json, asdict(counts), [line])
 
 
 def discrepancy(
@@ -140,7 +142,6 @@ def discrepancy(
     """
     from dataclasses import asdict
 
-    from groundstation.cli.model_files import model_for
     from groundstation.fleet.engine import cores, held
     from groundstation.fleet.search import effects_table, search_all
 
@@ -156,21 +157,18 @@ def discrepancy(
             progress=progress,
         )
         rows = effects_table(catalogue).rows()
-    if as_json:
-        show_json({**asdict(counts), "crafts": list(rows.values())})
-        return
-    show(
+    lines = [
         f"{catalogue}: {counts.searched} crafts searched, {counts.refused} of them told nothing;"
         f" {counts.unchanged} were searched already, {counts.few} have fewer than two flights"
-    )
+    ]
     for craft, row in rows.items():
         if row["reason"] is not None:
-            show(f"  {craft}: not searched: {row['reason']}")
+            lines.append(f"  {craft}: not searched: {row['reason']}")
             continue
         named = ", ".join(row["effects"]) or "nothing named"
-        show(f"  {craft}: {named}; gap {row['gap_before']:.2f} -> {row['gap_after']:.2f}")
-        for words in row["warnings"] or ():
-            show(f"    warning: {words}")
+        lines.append(f"  {craft}: {named}; gap {row['gap_before']:.2f} -> {row['gap_after']:.2f}")
+        lines += [f"    warning: {words}" for words in row["warnings"] or ()]
+    answer(as_json, {**asdict(counts), "crafts": list(rows.values())}, lines)
 
 
 def report(
@@ -193,8 +191,7 @@ def report(
     from groundstation.fleet.report import to_fly
     from groundstation.fleet.search import effects_table
 
-    if html is not None:
-        require_new(html)
+    require_new(html)
     date = None if compare_before is None else parse_date(compare_before)
     recordings = recordings_of(catalogue, ("craft", "begun", "state", "reason", "sha256"))
     fits = fits_table(catalogue).rows(VALUES)
@@ -208,25 +205,21 @@ def report(
 
         more = More(effects, needed, compare_before, since)
         page(fleet, recordings, fits, catalogue.name, more).write(html)
-    if as_json:
-        compared = None if date is None else [asdict(one) for one in since]
-        further = {"effects": list(effects.values()), "to_fly": needed, "since": compared}
-        show_json({**fleet.as_dict(), **further})
-        return
+    compared = None if date is None else [asdict(one) for one in since]
+    further = {"effects": list(effects.values()), "to_fly": needed, "since": compared}
     crafts = {one.craft for one in fleet.series}
-    show(f"{catalogue}: {len(crafts)} crafts, {len(recordings)} recordings, {fleet.tests} tests")
-    for one in fleet.findings:
-        show(f"  {one.text}")
+    lines = [
+        f"{catalogue}: {len(crafts)} crafts, {len(recordings)} recordings, {fleet.tests} tests",
+        *(f"  {one.text}" for one in fleet.findings),
+    ]
     if not fleet.findings:
         tested = "no craft changed or differs" if fleet.tests else "nothing could be tested yet"
-        show(f"  {tested}" if crafts else "  nothing is fitted: fleet fit first")
+        lines.append(f"  {tested}" if crafts else "  nothing is fitted: fleet fit first")
     if date is not None:
         none = "" if since else " no craft has two fitted flights on both sides"
-        show(f"since {compare_before}:{none}")
-        for shift in since:
-            show(f"  {shift.text}")
+        lines += [f"since {compare_before}:{none}", *(f"  {shift.text}" for shift in since)]
     for craft, row in effects.items():
-        show(f"  {craft} lacks {', '.join(row['effects'] or ()) or 'nothing that has a name'}")
-    for craft, lines in needed.items():
-        show(f"  to fly with {craft}: {'; '.join(lines)}")
-    say_written(html)
+        lacks = ", ".join(row["effects"] or ()) or "nothing that has a name"
+        lines.append(f"  {craft} lacks {lacks}")
+    lines += [f"  to fly with {craft}: {'; '.join(which)}" for craft, which in needed.items()]
+    answer(as_json, {**fleet.as_dict(), **further}, lines, html)

@@ -7,9 +7,10 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol, Self
@@ -29,15 +30,19 @@ from groundstation.control.programme import (
     LANDS,
     MANOEUVRE,
     RATE_HZ,
+    STAND_S,
     TILTED,
     TURNED,
+    AbortLimits,
     FlightWatch,
     Holding,
     Hover,
     LowBattery,
     Seen,
+    Standing,
     reason_to_abort,
     stands_again,
+    trouble_of,
 )
 from groundstation.links.command import NOT_ARMED, RESETS_ESTIMATOR
 from groundstation.service.client import ask
@@ -52,11 +57,14 @@ if TYPE_CHECKING:
 
 class Interrupts:
     """Raise KeyboardInterrupt inside ``heard`` alone: what comes between two of its blocks is
-    raised at the beginning of the next one, so that nothing skips a landing."""
+    raised at the beginning of the next one, so that nothing skips a landing. Whoever leaves asks
+    ``last``, for nobody else tells of one that came behind the last block or was answered.
+
+    raised: whether one of them was raised. last: the last that came."""
 
     def __init__(self) -> None:
-        self.came = 0
-        """How many there were so far."""
+        self.raised = False
+        self.last: KeyboardInterrupt | None = None
         self._pending = ""
         self._listens = False
         self._spare, self._told = 0, ""
@@ -84,8 +92,8 @@ class Interrupts:
             self._listens = False
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.came += 1
         name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+        self.last = KeyboardInterrupt(name)
         if self._listens:
             self._meet(name)
         else:
@@ -97,7 +105,7 @@ class Interrupts:
             self._spare -= 1
             say(self._told, error=True)
             return
-        self._listens = False
+        self._listens, self.raised = False, True
         raise KeyboardInterrupt(name)
 
 
@@ -118,17 +126,19 @@ LOOK_S, STAND_MORE_S = 0.05, 0.5
 
 
 def await_connection(path: Path) -> None:
-    """A daemon that has just started connects within seconds; a refusal is a refusal."""
+    """A daemon that has just started connects within seconds, and what an interrupted flight left
+    written is put back as soon; a refusal is a refusal."""
     deadline = time.monotonic() + CONNECT_S
-    while True:
+    while time.monotonic() < deadline:
         status = ask(path, "GET", "/status")
         command = status.get("command")
-        if command is None or command["state"] not in ("connecting", "closed"):
+        waits = command is not None and (
+            command["state"] in ("connecting", "closed") or command["unproven"]
+        )
+        if not waits:
             return
         if status["link"]["name"].startswith("replay:"):
             return  # it never will
-        if time.monotonic() > deadline:
-            return
         time.sleep(0.2)
 
 
@@ -142,8 +152,6 @@ def require_ready(
     Raises GroundStationError where none comes in, the battery is low or the craft says that it
     cannot fly.
     """
-    from groundstation.control.programme import AbortLimits
-
     deadline = time.monotonic() + TELEMETRY_S
     while True:
         # zero thrust: looks at the telemetry without turning a motor
@@ -218,22 +226,6 @@ def require_consent(pilot: Pilot, question: str, otherwise: str) -> None:
         require_yes(question, otherwise)
 
 
-def require_ended(report: Mapping[str, Any], what: str) -> None:
-    """Raises GroundStationError for a report of what was cut short: why, how the motors are, and
-    where the recording is."""
-    for words, by_operator in (("Stopped", BY_OPERATOR), ("Landed", LANDED_BY_OPERATOR)):
-        if report["aborted"] == by_operator:
-            raise GroundStationError(
-                f"{words} by the operator, {report['motors'].replace('are off', 'off')};"
-                f" the recording is {report['recording']}"
-            )
-    if report["aborted"]:
-        raise GroundStationError(
-            f"{what} aborted: {report['aborted']}; {report['motors']}, the recording is"
-            f" {report['recording']}"
-        )
-
-
 def why_aborted(error: GroundStationError) -> str:
     """What a flight that ended so is told to have been cut short by."""
     return str(error).removesuffix(ACQUIRE)
@@ -242,8 +234,6 @@ def why_aborted(error: GroundStationError) -> str:
 def require_standing(pilot: Pilot) -> None:
     """Watch a craft for some seconds. Raises GroundStationError where it does not stand still,
     level and, where it knows its height, on the floor."""
-    from groundstation.control.programme import STAND_S, Standing
-
     standing = Standing()
     deadline = time.monotonic() + STAND_S + STAND_MORE_S
     while not standing.look(time.monotonic(), pilot.setpoint(0.0, 0.0, 0.0, 0)):
@@ -253,8 +243,9 @@ def require_standing(pilot: Pilot) -> None:
         time.sleep(LOOK_S)
 
 
-def begin_recording(path: Path) -> dict[str, Any]:
+def begin_recording() -> dict[str, Any]:
     """A recording of this flight alone."""
+    path = socket_path()
     running = ask(path, "GET", "/status")["recording"]
     was_on = running["file"] is not None and running.get("state") not in ("off", "finished")
     if was_on:
@@ -262,8 +253,9 @@ def begin_recording(path: Path) -> dict[str, Any]:
     return {"was_on": was_on, **ask(path, "POST", "/record/start")}
 
 
-def end_recording(path: Path, recording: dict[str, Any], aborted: str) -> str:
+def end_recording(recording: dict[str, Any], aborted: str) -> str:
     """The file of this flight; a recording that ran before it goes on in a new one."""
+    path = socket_path()
     try:
         status = ask(path, "POST", "/record/stop")
         if recording["was_on"]:
@@ -291,26 +283,47 @@ NOT_TURNING = (
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a flight ended. why: it was cut short, or empty. motors: what is known of them.
-    interrupted: by Ctrl-C or SIGTERM."""
+    """How a flight ended. why: it was cut short, or did not end as it should, or empty. motors:
+    what is known of them. interrupted: by Ctrl-C or SIGTERM, in the flight or behind it. seconds:
+    it took. recording: the daemon's file. restored: parameters that were put back."""
 
     why: str
     motors: str
     interrupted: KeyboardInterrupt | None = None
+    seconds: float = 0.0
+    recording: str = ""
+    restored: Sequence[str] = ()
+
+    def require(self, what: str) -> None:
+        """Raises GroundStationError where it was cut short: why, how the motors are, and where the
+        recording is; KeyboardInterrupt where one came behind a flight that was not."""
+        for words, by_operator in (("Stopped", BY_OPERATOR), ("Landed", LANDED_BY_OPERATOR)):
+            if self.why == by_operator:
+                raise GroundStationError(
+                    f"{words} by the operator, {self.motors.replace('are off', 'off')};"
+                    f" the recording is {self.recording}"
+                )
+        if self.why:
+            raise GroundStationError(
+                f"{what} aborted: {self.why}; {self.motors}, the recording is {self.recording}"
+            )
+        if self.interrupted is not None:
+            say(f"{what} ended; {self.motors}, the recording is {self.recording}", error=True)
+            raise self.interrupted
 
 
 def stopped_after(fly: Callable[[], str], pilot: Pilot, signals: Interrupts) -> Ended:
     """Fly what says why it was cut short, and stop the motors behind it, whatever ends it."""
-    interrupted: KeyboardInterrupt | None = None
     try:
         with signals.heard():
             why = fly()
     except KeyboardInterrupt as stop:
-        why, interrupted = str(stop), stop
+        why = str(stop)
         say("stopping the motors", error=True)
     except GroundStationError as error:
         why = why_aborted(error)
-    return Ended(why, stop_now(pilot, signals), interrupted)
+    motors = stop_now(pilot, signals)
+    return Ended(why or ("" if motors == MOTORS_OFF else motors), motors)
 
 
 def stop_now(pilot: Pilot | SoftwareCraft, signals: Interrupts) -> str:
@@ -323,8 +336,6 @@ def stop_now(pilot: Pilot | SoftwareCraft, signals: Interrupts) -> str:
 def stop_motors(pilot: Pilot | SoftwareCraft) -> str:
     """Zero thrust until fresh telemetry says that the motors stand, and what else stops them where
     they go on turning; what is known of them."""
-    from groundstation.control.programme import AbortLimits
-
     deadline = time.monotonic() + COAST_S
     try:
         for sent in range(1, 10**9):
@@ -386,12 +397,14 @@ STOPS_SEEN = "GROUNDSTATION_STOPS"
 
 
 def stops_begun(path: Path) -> int:
-    """How often somebody had stopped the motors when this program began, as the daemon counts.
+    """How often somebody had stopped the motors when this program began, as the daemon counts; a
+    daemon that has just started is waited for.
 
     Raises GroundStationError where that was done while the program was still being loaded.
     """
     from groundstation.cli import main
 
+    await_connection(path)
     given = os.environ.get(STOPS_SEEN, "")
     if given.isdigit():
         return int(given)
@@ -429,85 +442,114 @@ def require_calm(stops: int) -> None:
         raise GroundStationError(STOPPED_SINCE)
 
 
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """Parameters that a flight writes, by full name. former: what the craft had. stays: whether
-    the new ones stay after a good flight."""
+class Flight:
+    """One flight of the daemon's craft: parameters that are written for it, what is flown, its
+    recording, and the former parameters put back.
 
-    changed: dict[str, float]
-    former: dict[str, float]
-    stays: frozenset[str] = frozenset()
+    pilot: the lease on the craft. changed: what is written, by full name.
+    """
 
-    @classmethod
-    def of(cls, before: Mapping[str, float], changed: Mapping[str, float], **more: Any) -> Changes:
-        """before: every parameter of the craft. Raises BadInputError for one that it has not."""
-        unknown = [name for name in changed if name not in before]
+    def __init__(self, pilot: Pilot) -> None:
+        self.pilot = pilot
+        self.changed: dict[str, float] = {}
+        self._stays = set[str]()
+
+    @cached_property
+    def before(self) -> dict[str, float]:
+        """Every parameter of the craft, as it was."""
+        return self.pilot.parameters()
+
+    @property
+    def former(self) -> dict[str, float]:
+        """What the craft had of those that are changed."""
+        return {name: self.before[name] for name in self.changed}
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """Every gain that flies."""
+        return gains_of(self.before | self.changed)
+
+    def change(self, values: Mapping[str, float], *, stays: bool = False) -> None:
+        """Fly with these parameters. stays: they are not put back after a good flight. Raises
+        BadInputError for one that the craft has not."""
+        unknown = [name for name in values if name not in self.before]
         if unknown:
             raise BadInputError(
                 f"the craft has no parameter {', '.join(unknown)}; nothing was written"
             )
-        return cls(dict(changed), {name: before[name] for name in changed}, **more)
+        self.changed |= values
+        self._stays |= set(values) if stays else set()
 
-    def put_back(self, pilot: Pilot, why: str) -> list[str]:
-        """The names of what is put back: all of it after a flight that was cut short. A lease that
-        is over leaves it to the daemon."""
-        back = {k: v for k, v in self.former.items() if why or k not in self.stays}
+    def fly(self, fly: Callable[[Interrupts], Ended], mark: str, **details: Any) -> Ended:
+        """Record one flight with the changed parameters, and put them back behind it.
+
+        fly: what is flown; it leaves a craft whose motors stand. mark, details: the recording's
+        first. An interrupt, whenever it comes, is told in what is returned, and nothing after it
+        is skipped. One that comes before the former parameters are put back cuts the flight short.
+        """
+        pilot, begun_s = self.pilot, time.monotonic()
+        with Interrupts() as signals:
+            recording = begin_recording()
+            try:
+                with signals.heard():
+                    write_parameters(pilot, self.changed)
+                    pilot.mark(mark, **details)
+                ended = fly(signals)
+            except KeyboardInterrupt as stop:
+                ended = Ended(str(stop), stop_motors(pilot))
+            except GroundStationError as error:
+                ended = Ended(why_aborted(error), stop_motors(pilot))
+            seconds = time.monotonic() - begun_s
+            why = ended.why or str(signals.last or "")
+            restored, lost = self._put_back(why)
+            file = end_recording(recording, why)
+        return replace(
+            ended,
+            why=why or lost,
+            interrupted=signals.last,
+            seconds=seconds,
+            recording=file,
+            restored=restored,
+        )
+
+    def _put_back(self, why: str) -> tuple[list[str], str]:
+        """The names of what is put back: all of it after a flight that was cut short; and why what
+        should stay does not. A lease that is over leaves it to the daemon, which writes every
+        former value back."""
+        back = {k: v for k, v in self.former.items() if why or k not in self._stays}
         try:
-            write_parameters(pilot, back)
-        except GroundStationError:  # the lease is over, or the craft is out of reach
-            pilot.content = False
+            write_parameters(self.pilot, back)
+        except GroundStationError as error:  # the lease is over, or the craft is out of reach
+            self.pilot.content = False
             say("the daemon puts the former parameters back, once the craft stands", error=True)
-            return []
+            return [], f"what was written does not stay: {error}" if self._stays else ""
+        self.pilot.wrote = len(back) < len(self.former)
         if back and why:
             say("the former parameters are back", error=True)
-        return sorted(back)
+        return sorted(back), ""
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What came of a flight: see ``Ended``. seconds: it took. recording: the daemon's file.
-    restored: parameters that were put back."""
-
-    ended: Ended
-    seconds: float
-    recording: str
-    restored: list[str]
+def gains_of(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Those of the craft's parameters that are gains of its loops."""
+    return {name: value for name, value in parameters.items() if name.startswith("pid_")}
 
 
-def fly_recorded(
-    pilot: Pilot,
-    changes: Changes,
-    fly: Callable[[Interrupts], Ended],
-    mark: str,
-    **details: Any,
-) -> Report:
-    """Record one flight with the changed parameters, and put them back behind it.
+LEAST_THRUST, BASE_THRUST = "posCtlPid.thrustMin", "posCtlPid.thrustBase"
+"""Of the firmware's height loop: it asks for no less than the first; the second is about what the
+craft hovers with."""
+SINKS = 0.5
+"""Of the latter, a least thrust with which a craft of four fifths of its mass still sinks. A
+Brushless has 0.67: a light one flew on upwards, and was dropped."""
 
-    fly: what is flown; it leaves a craft whose motors stand. mark, details: the recording's first.
-    An interrupt ends the flight and is told in the report: nothing after it is skipped.
-    """
-    path, begun_s = socket_path(), time.monotonic()
-    with Interrupts() as signals:
-        recording = begin_recording(path)
-        try:
-            with signals.heard():
-                write_parameters(pilot, changes.changed)
-                pilot.mark(mark, **details)
-            ended = fly(signals)
-        except KeyboardInterrupt as stop:
-            ended = Ended(str(stop), stop_motors(pilot), stop)
-        except GroundStationError as error:
-            ended = Ended(why_aborted(error), stop_motors(pilot))
-        seconds = time.monotonic() - begun_s
-        restored = changes.put_back(pilot, ended.why)
-        file = end_recording(path, recording, ended.why)
-    return Report(ended, seconds, file, restored)
+
+def lets_sink(parameters: Mapping[str, float]) -> dict[str, float]:
+    """What a flight by height changes of the craft's parameters, so that it can come down."""
+    least = round(SINKS * parameters.get(BASE_THRUST, 0.0))
+    return {LEAST_THRUST: least} if parameters.get(LEAST_THRUST, 0.0) > least else {}
 
 
 def write_parameters(pilot: Pilot, values: Mapping[str, float]) -> None:
     """Write parameters and require that the craft read back the same numbers."""
-    import numpy as np
-
     if not values:
         return
     back = pilot.write(dict(values))
@@ -524,7 +566,7 @@ def write_parameters(pilot: Pilot, values: Mapping[str, float]) -> None:
 # attitude setpoints alone carry any craft away.
 
 
-CLIMB_M_S = 0.4
+CLIMB_M_S, STEP_MOST_M = 0.4, 0.04
 LEVEL_TICKS = 50
 """Of level attitude before each manoeuvre: the firmware clears its loops when it is asked for an
 attitude in the place of a velocity, and they sum up anew what trims the craft."""
@@ -542,6 +584,7 @@ LANDED = "landed"
 """What the daemon says of a landing that came to its end."""
 TOO_OLD = "too old to be sent"
 """How the daemon ends what it says of a setpoint that reached it late."""
+NOT_LANDED = "it could not be landed"
 UNRECORDED = "recording"
 """How the reason begins for which a flight that is no more recorded lands."""
 
@@ -594,10 +637,9 @@ def fly_by_height(
     """Fly a programme and land, whatever ends it, as long as the craft can. tells_battery: whether
     the craft says how its battery is. clock: the craft's, None: real time."""
     why, lands = "", True
-    interrupted: KeyboardInterrupt | None = None
     try:
         with signals.heard():
-            _Flight(pilot, room, clock or SetpointClock(), tells_battery).fly(programme)
+            _ByHeight(pilot, room, clock or SetpointClock(), tells_battery).fly(programme)
     except _OverError as over:
         why, lands = over.why, over.lands
         say(f"{why}: {'landing' if lands else 'stopping the motors'}", error=True)
@@ -605,29 +647,34 @@ def fly_by_height(
             with contextlib.suppress(GroundStationError):
                 pilot.mark(LANDS, why=why)
     except KeyboardInterrupt as stop:
-        why, interrupted = str(stop), stop
+        why = str(stop)
         say(f"{why}: landing; Ctrl-C again stops the motors", error=True)
     except GroundStationError as error:  # the daemon has ended it: it says how
         why = why_aborted(error)
-    motors = land(pilot, signals) if lands else stop_now(pilot, signals)
-    return Ended(why, motors, interrupted)
+    motors, not_landed = land(pilot, signals) if lands else (stop_now(pilot, signals), "")
+    return Ended(why or not_landed, motors)
 
 
-def land(pilot: Pilot | SoftwareCraft, signals: Interrupts) -> str:
-    """Let the craft be landed; what is known of its motors then. The second Ctrl-C stops them."""
+def land(pilot: Pilot | SoftwareCraft, signals: Interrupts) -> tuple[str, str]:
+    """Let the craft be landed; what is known of its motors then, and why it was not landed, or
+    empty. The Ctrl-C after the one that began a landing stops them."""
+    why = NOT_LANDED
     try:
-        spare = 0 if signals.came else 1
+        spare = 0 if signals.raised else 1
         with signals.heard(spare, "landing; Ctrl-C again stops the motors"):
             if pilot.land() == LANDED:
-                return f"{LANDED}, {MOTORS_OFF}"
-    except KeyboardInterrupt:
+                return f"{LANDED}, {MOTORS_OFF}", ""
+            pilot.setpoint(0.0, 0.0, 0.0, 0)  # a lease that is over says why
+    except KeyboardInterrupt as stop:
+        why = str(stop)
         say("stopping the motors", error=True)
-    except GroundStationError:
-        pass  # the lease may be over: what became of its motors is told all the same
-    return stop_now(pilot, signals)
+    except GroundStationError as error:
+        # the lease may be over: what became of its motors is told all the same
+        why = why_aborted(error)
+    return stop_now(pilot, signals), why
 
 
-class _Flight:
+class _ByHeight:
     """One flight, from the ground to where it may land. Raises _OverError."""
 
     def __init__(
@@ -638,6 +685,7 @@ class _Flight:
         self._places = bool(pilot.lease["holds_place"])
         self._home = (0.0, 0.0)
         self._trim = (0.0, 0.0)
+        self._turns, self._asked_m = False, room.floor_m
         self._brought_back, self._brought_back_most = 0, BROUGHT_BACK_MOST
 
     def fly(self, programme: Flyable) -> None:
@@ -664,7 +712,8 @@ class _Flight:
         longer carries the craft further."""
         row, begun_s = 0, self._clock.now_s()
         while row < len(rows):
-            if self._goes_too_far():
+            ahead_m = self._seen.away_m(self._home, AHEAD_S)
+            if self._places and not ahead_m <= self._room.reach_m:
                 self._brought_back += 1
                 if self._brought_back > self._brought_back_most:
                     count = f"{self._brought_back} times in this flight"
@@ -672,7 +721,9 @@ class _Flight:
                 row = stands_again(np.array([one[:3] for one in rows]), row)
                 if row == len(rows):
                     break
-                self._bring_back(name)
+                self._mark(HOLDS, name=name)
+                self._hold()
+                self._begin_manoeuvre(name)  # it goes on, where it begins anew from rest
                 begun_s = self._clock.now_s() - row / RATE_HZ
             roll, pitch, yaw, *above = rows[row]
             self._tick(
@@ -702,9 +753,10 @@ class _Flight:
         )
 
     def _look(self) -> None:
-        """See how the craft stands, its motors off."""
+        """See how the craft stands, its motors off: it may have been taken up since somebody last
+        looked."""
         answer = self._pilot.setpoint(0.0, 0.0, 0.0, 0)
-        reason = reason_to_abort(answer, self._low)
+        reason = reason_to_abort(answer, self._low) or trouble_of(answer)
         if reason:
             raise _OverError(reason, lands=False)
         self._seen = Seen.of(answer)
@@ -712,9 +764,11 @@ class _Flight:
     def _take_off(self) -> None:
         """Climb, then hover until it is known what its hover is."""
         room, hover = self._room, Hover()
-        climbs_s = room.height_m / CLIMB_M_S
-        while (time_s := self._clock.now_s() - self._begun_s) < climbs_s:
-            self._tick(room.floor_m + CLIMB_M_S * time_s)
+        while self._asked_m < room.top_m:
+            time_s = self._clock.now_s() - self._begun_s
+            # by the clock, and no step where it was held up
+            climbed_m = min(room.floor_m + CLIMB_M_S * time_s, room.top_m)
+            self._tick(min(climbed_m, self._asked_m + STEP_MOST_M))
             if time_s > TURNS_S and not self._turns:
                 raise _OverError(NOT_TURNING, lands=False)
         hover = self._hold(FIRST_REST_S if self._places else SETTLED_S)
@@ -740,16 +794,6 @@ class _Flight:
             self._tick(self._room.top_m, velocity=velocity)
         return hover
 
-    def _goes_too_far(self) -> bool:
-        ahead_m = self._seen.away_m(self._home, AHEAD_S)
-        return self._places and not ahead_m <= self._room.reach_m
-
-    def _bring_back(self, name: str) -> None:
-        """A manoeuvre that was interrupted goes on, where it begins anew from rest."""
-        self._mark(HOLDS, name=name)
-        self._hold()
-        self._begin_manoeuvre(name)
-
     def _tick(
         self,
         height_m: float,
@@ -774,6 +818,7 @@ class _Flight:
             if not str(error).endswith(TOO_OLD):
                 raise
             return  # this computer was held up: the next one is new
+        self._asked_m = height_m
         reason = reason_to_abort(answer, self._low)
         if reason:
             # the daemon lands it, or stops its motors where it does not hear it either

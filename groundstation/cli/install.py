@@ -1,4 +1,5 @@
-"""``groundstation install udev``: rules that let a user without root read bridge and radio."""
+"""``groundstation install``: the daemon's systemd unit, and rules that let a user without root read
+bridge and radio."""
 
 from __future__ import annotations
 
@@ -11,10 +12,19 @@ import typer
 from groundstation import GroundStationError
 from groundstation.cli.terminal import Commands
 
-# ``groundstation install service``: the systemd unit of the daemon.
-
-
 UNIT_FILE = Path("/etc/systemd/system/groundstation.service")
+RULE_FILE = Path("/etc/udev/rules.d/70-groundstation.rules")
+
+
+def add_commands(app: typer.Typer) -> None:
+    group = Commands(
+        no_args_is_help=True,
+        help="Set this machine up for the hardware."
+        "\n\nExample: [bold]groundstation install service --print[/bold]",
+    )
+    group.command("udev")(udev)
+    group.command("service")(service)
+    app.add_typer(group, name="install")
 
 
 def service(
@@ -31,34 +41,11 @@ def service(
         ConfigSource(config).load()  # a wrong file is told now, not at the next boot
     program = shlex.quote(str(Path(sys.argv[0]).absolute()))
     text = unit(program, None if config is None else shlex.quote(str(config.absolute())))
-    if show:
-        print(text, end="")
-        return
-    try:
-        UNIT_FILE.write_text(text)
-    except OSError as error:
-        raise GroundStationError(
-            f"{UNIT_FILE}: {error.strerror}; run it as root, or pipe "
-            f"'groundstation install service --print' into 'sudo tee {UNIT_FILE}'"
-        ) from error
-    print(
-        f"wrote {UNIT_FILE}; now: useradd --system --groups plugdev,dialout groundstation; "
+    then = (
+        "; now: useradd --system --groups plugdev,dialout groundstation; "
         "systemctl daemon-reload; systemctl enable --now groundstation"
     )
-
-
-RULE_FILE = Path("/etc/udev/rules.d/70-groundstation.rules")
-
-
-def add_commands(app: typer.Typer) -> None:
-    group = Commands(
-        no_args_is_help=True,
-        help="Set this machine up for the hardware."
-        "\n\nExample: [bold]groundstation install service --print[/bold]",
-    )
-    group.command("udev")(udev)
-    group.command("service")(service)
-    app.add_typer(group, name="install")
+    _install("service", UNIT_FILE, text, show, then)
 
 
 def udev(
@@ -75,17 +62,23 @@ def udev(
     from groundstation.service.config import load_config
 
     rule = udev_rule(*parse_ids(load_config(config).usb.device))
+    then = "; now run 'udevadm control --reload' and plug the device in again"
+    _install("udev", RULE_FILE, rule, show, then)
+
+
+def _install(what: str, path: Path, text: str, show: bool, then: str) -> None:
+    """Write a file of the system, or only show it (show). then: what is to be done next."""
     if show:
-        print(rule, end="")
+        print(text, end="")
         return
     try:
-        RULE_FILE.write_text(rule)
+        path.write_text(text)
     except OSError as error:
         raise GroundStationError(
-            f"{RULE_FILE}: {error.strerror}; run it as root, or pipe "
-            f"'groundstation install udev --print' into 'sudo tee {RULE_FILE}'"
+            f"{path}: {error.strerror}; run it as root, or pipe "
+            f"'groundstation install {what} --print' into 'sudo tee {path}'"
         ) from error
-    print(f"wrote {RULE_FILE}; now run 'udevadm control --reload' and plug the device in again")
+    print(f"wrote {path}{then}")
 
 
 CRAZYFLIE = ((0x1915, 0x7777), (0x35F0, 0xBAD2), (0x0483, 0x5740))

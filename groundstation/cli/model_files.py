@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation import BadInputError
-from groundstation.cli import terminal
-from groundstation.cli.terminal import show
+from groundstation.cli.terminal import show, show_json
 from groundstation.documents import decode_toml
-from groundstation.paths import digest, taken
+from groundstation.paths import digest, taken, writing
 from groundstation.service.config import ConfigSource, settings
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def open_one(path: Path) -> Recording:
 
 def tell_rejected(recordings: Sequence[Recording]) -> None:
     """On stderr, what of recordings was taken as missing."""
-    from groundstation.recording.soundness import rejected
+    from groundstation.recording.quality import rejected
 
     for one in recordings:
         for line in rejected(one):
@@ -67,7 +66,7 @@ def tell_rejected(recordings: Sequence[Recording]) -> None:
 def with_reasons(recordings: Sequence[Recording], where: str = "") -> Iterator[None]:
     """A refusal, behind ``where``, also says what of the recordings was taken as missing: it may be
     why."""
-    from groundstation.recording.soundness import rejected
+    from groundstation.recording.quality import rejected
 
     try:
         yield
@@ -175,44 +174,47 @@ def model_before(model: Model | None, vehicle: str | None, mass_kg: float | None
     )
 
 
-def write_new(path: Path, text: str) -> None:
-    """Write a new file. Raises BadInputError where there is one, or it cannot be written."""
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise BadInputError(taken(path)) from error
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def require_new(path: Path) -> None:
+def require_new(*paths: Path | None) -> None:
     """Raises BadInputError where a new file's name is taken, its folder is not there, or rerun,
     which writes an .rrd, is not installed."""
-    from groundstation.rerun_log.installed import require_rerun
+    from groundstation.rerun_log.channels import require_rerun
 
-    if path.exists():
-        raise BadInputError(taken(path))
-    if not path.absolute().parent.is_dir():
-        raise BadInputError(f"{path}: there is no folder {path.parent}; nothing was done")
-    if path.suffix.lower() == ".rrd":
-        require_rerun(f"{path}: an .rrd file")
+    for path in filter(None, paths):
+        if path.exists():
+            raise BadInputError(taken(path))
+        if not path.absolute().parent.is_dir():
+            raise BadInputError(f"{path}: there is no folder {path.parent}; nothing was done")
+        if path.suffix.lower() == ".rrd":
+            require_rerun(f"{path}: an .rrd file")
+
+
+def answer(
+    as_json: bool,
+    value: Any,
+    lines: Iterable[str] = (),
+    *written: Path | None,
+    indent: int | None = 2,
+) -> None:
+    """What a command ends with: ``value`` for programs, or lines and the new files for people."""
+    if as_json:
+        show_json(value, indent)
+        return
+    for line in lines:
+        show(line)
+    say_written(*written)
 
 
 def say_written(*paths: Path | None) -> None:
     """One line for each new file."""
-    for path in paths:
-        if path is not None:
-            show(f"written: {path}")
+    for path in filter(None, paths):
+        show(f"written: {path}")
 
 
 def write_table(path: Path, head: str, table: Any) -> None:
     import numpy as np
 
-    try:
+    with writing(path, BadInputError):
         np.savetxt(path, table, fmt="%.6f", delimiter=",", header=head, comments="")
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 # Flights and the model they are held against, for ``compare`` and ``discrepancy``.
@@ -263,8 +265,8 @@ def read_flights(
     unless ``vehicle`` says the contrary, and where nothing lasts 5 s in any.
     """
     from groundstation.identification.runs import flights_of_each, renewal_notes
+    from groundstation.recording.quality import rejected
     from groundstation.recording.session import require_craft_of
-    from groundstation.recording.soundness import rejected
 
     recordings = [open_one(path) for path in paths]
     if vehicle is None:
@@ -345,10 +347,6 @@ def require_apart(recordings: Sequence[Path], validate: Sequence[Path]) -> None:
 # ``groundstation config``: what can be set, and what is set.
 
 
-def add_config(app: typer.Typer) -> None:
-    app.command("config")(config)
-
-
 def config(
     file: Path | None = typer.Option(None, "--config", help="TOML configuration file."),
     assign: list[str] = typer.Option(
@@ -362,26 +360,22 @@ def config(
     Example: [bold]groundstation config --config station.toml[/bold]
     """
     found = settings(ConfigSource(file, assignments(assign)).load())
-    if as_json:
-        keys = {
-            each.name: {"value": each.value, "default": each.default, "text": each.text}
-            for each in found
-        }
-        terminal.show_json(keys)
-        return
-    table = ""
+    keys = {
+        each.name: {"value": each.value, "default": each.default, "text": each.text}
+        for each in found
+    }
+    lines, table = list[str](), ""
     for each in found:
         if isinstance(each.value, dict):
-            for line in ("", f"# {each.text}", f"[{each.name}]", *_assigned(each.value)):
-                terminal.show(line)
+            lines += ["", f"# {each.text}", f"[{each.name}]", *_assigned(each.value)]
             continue
         place, _, key = each.name.rpartition(".")
         if place != table:
             table = place
-            terminal.show()
-            terminal.show(f"[{table}]")
+            lines += ["", f"[{table}]"]
         usual = "" if each.value == each.default else f" (default {_toml(each.default)})"
-        terminal.show(f"{key + ' = ' + _toml(each.value):<32}  # {each.text}{usual}")
+        lines.append(f"{key + ' = ' + _toml(each.value):<32}  # {each.text}{usual}")
+    answer(as_json, keys, lines)
 
 
 def assignments(given: list[str]) -> dict[str, Any]:
@@ -400,22 +394,17 @@ def assignments(given: list[str]) -> dict[str, Any]:
                 f"{text!r}: give KEY=VALUE with a KEY of 'groundstation config'",
                 param_hint="'--set'",
             )
-        values[key] = _value(value)
+        try:
+            values[key] = decode_toml(f"value = {value}".encode(), dict[str, Any])["value"]
+        except ValueError:  # no TOML: the text itself
+            values[key] = value
     return values
-
-
-def _value(text: str) -> Any:
-    """A TOML value where it is one, otherwise the text itself."""
-
-    try:
-        return decode_toml(f"value = {text}".encode(), dict[str, Any])["value"]
-    except ValueError:
-        return text
 
 
 def _assigned(table: dict[str, Any]) -> Iterator[str]:
     for key, value in table.items():
-        yield f"{_name(key)} = {_toml(value)}"
+        plain = key.replace("_", "a").isalnum() and key.isascii()
+        yield f"{key if plain else json.dumps(key)} = {_toml(value)}"
 
 
 def _toml(value: Any) -> str:
@@ -426,7 +415,3 @@ def _toml(value: Any) -> str:
     if isinstance(value, float):
         return repr(value)
     return json.dumps(value, ensure_ascii=False)
-
-
-def _name(key: str) -> str:
-    return key if key.replace("_", "a").isalnum() and key.isascii() else json.dumps(key)

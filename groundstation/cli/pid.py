@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,17 +14,18 @@ from groundstation.cli import pid_fly
 from groundstation.cli.model_files import (
     AS_JSON,
     HTML,
+    answer,
     fitted_model,
     require_new,
-    say_written,
-    write_new,
 )
-from groundstation.cli.terminal import Commands, show, show_json, shown
+from groundstation.cli.terminal import Commands, shown
+from groundstation.paths import write_new
 
 if TYPE_CHECKING:
     from groundstation import Model, PidGains
     from groundstation.control.design import AxisDesign, Design, Robustness
     from groundstation.control.firmwares import Release
+    from groundstation.report.page import Page
 
 # ``pid design``: gains by optimisation, for one of two loops; ``pid convert`` between forms.
 
@@ -45,15 +47,19 @@ def design(
     ),
     firmware: str | None = FIRMWARE,
     axis: list[str] | None = AXIS,
-    sensitivity: float = typer.Option(2.0, help="Largest maximum sensitivity."),
+    sensitivity: float | None = typer.Option(
+        None,
+        help="Largest maximum sensitivity (default: 2, or that of the stock gains where no gains"
+        " within 2 follow as well).",
+    ),
     spare_ms: float = typer.Option(2.0, help="More delay that the loops must bear, ms."),
-    draws: int = typer.Option(1000, help="Models drawn from the fit's covariance to try it on."),
+    draws: int = typer.Option(300, help="Models drawn from the fit's covariance to try it on."),
     delay: int | None = DELAY,
     seed: int = typer.Option(0, help="Of the search and the draws."),
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
-    """Gains by optimisation: the best tracking that the stated robustness allows.
+    """Gains by optimisation: RMS, overshoot, settling and sensitivity together, within limits.
 
     Example: [bold]groundstation pid design --model body.json -o gains.toml
     --html design.html[/bold]
@@ -61,9 +67,7 @@ def design(
     from groundstation import gains_text
     from groundstation.telemetry.arrays import AXES
 
-    for path in (output, html):
-        if path is not None:
-            require_new(path)
+    require_new(output, html)
     axes = tuple(axis or AXES)
     _require_sense(axes, sensitivity, spare_ms, draws, loop)
     cascaded = loop == "firmware"
@@ -84,27 +88,24 @@ def design(
         write_new(output, gains_text(gains, release))
         report["output"] = str(output)
     if html is not None:
-        page.write(html)
-    if as_json:
-        show_json(report)
-        return
-    _print_design(report)
-    if output is not None and cascaded:
-        show(f"{output}: to fly them: pid fly --model {model} --gains {output}")
-    elif output is not None:
-        show(f"{output}: 'pid convert --to firmware' makes of them what a craft flies")
-    say_written(html)
+        page().write(html)
+    lines = _design_lines(report)
+    if output is not None:
+        flies = f"to fly them: pid fly --model {model} --gains {output}"
+        converts = "'pid convert --to firmware' makes of them what a craft flies"
+        lines.append(f"{output}: {flies if cascaded else converts}")
+    answer(as_json, report, lines, html)
 
 
 def _require_sense(
-    axes: tuple[str, ...], sensitivity: float, spare_ms: float, draws: int, loop: str
+    axes: tuple[str, ...], sensitivity: float | None, spare_ms: float, draws: int, loop: str
 ) -> None:
     from groundstation.telemetry.arrays import AXES
 
     for one in axes:
         if one not in AXES:
             raise BadInputError(f"--axis {one}: there are {', '.join(AXES)}")
-    if not 1.1 <= sensitivity <= 10.0:
+    if sensitivity is not None and not 1.1 <= sensitivity <= 10.0:
         raise BadInputError(f"--sensitivity {sensitivity}: must be 1.1..10")
     if not 0.0 <= spare_ms <= 100.0:
         raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
@@ -118,12 +119,12 @@ def _design_firmware(
     model: Model,
     release: Release,
     axes: tuple[str, ...],
-    sensitivity: float,
+    sensitivity: float | None,
     spare_s: float,
     draws: int,
     seed: int,
     name: str,
-) -> tuple[dict[str, Any], dict[str, float], Any]:
+) -> tuple[dict[str, Any], dict[str, float], Callable[[], Page]]:
     from groundstation import cascade_limits, design_cascade, robustness
     from groundstation.control.report import firmware_page, firmware_report
 
@@ -139,18 +140,18 @@ def _design_firmware(
             robustness(model, gains, axes, draws, seed, release=release) if draws else None
         )
     report = firmware_report(model, release, designs, tried, limits)
-    return report, gains, firmware_page(model, name, designs, tried, report)
+    return report, gains, lambda: firmware_page(model, name, designs, tried, report)
 
 
 def _design_thesis(
     model: Model,
     axes: tuple[str, ...],
-    sensitivity: float,
+    sensitivity: float | None,
     spare_s: float,
     delay: int | None,
     seed: int,
     name: str,
-) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
+) -> tuple[dict[str, Any], dict[str, PidGains], Callable[[], Page]]:
     from groundstation.control.design import Limits, design_direct, require_certain
     from groundstation.control.linear_loop import axis_plant
     from groundstation.control.report import thesis_design_page, thesis_report
@@ -158,7 +159,7 @@ def _design_thesis(
 
     require_certain(model, [axis for axis in axes if axis not in (model.arx or {})])
     found: dict[str, tuple[PidGains, Design, Any, Any]] = {}
-    limits = Limits(sensitivity=sensitivity, delay_s=spare_s)
+    limits = Limits(sensitivity=sensitivity or Limits().sensitivity, delay_s=spare_s)
     with shown("designing") as show:
         for number, axis in enumerate(axes):
             plant = axis_plant(model, axis, delay)
@@ -173,7 +174,7 @@ def _design_thesis(
         _require_followed(model, {axis: gains for axis, (gains, *_) in found.items()}, delay)
     report = thesis_report(found, limits, printed)
     chosen = {axis: gains for axis, (gains, *_) in found.items()}
-    return report, chosen, thesis_design_page(name, found, report)
+    return report, chosen, lambda: thesis_design_page(name, found, report)
 
 
 def _require_followed(model: Model, found: dict[str, PidGains], delay: int | None) -> None:
@@ -201,20 +202,20 @@ def _of_axes(
     return progress
 
 
-def _print_design(report: dict[str, Any]) -> None:
+def _design_lines(report: dict[str, Any]) -> list[str]:
+    lines = []
     for axis, one in report["axes"].items():
-        show(f"{axis}: " + ", ".join(f"{k} {v:.6g}" for k, v in one["gains"].items()))
-        settling = one["settling_s"]
-        show(
-            f"  settles in {settling:.3f} s, overshoot {one['overshoot_pct']:.1f} %,"
-            f" RMS {one['rms']:.3f} of the step, maximum sensitivity {one['max_sensitivity']:.2f},"
-            f" gain x{one['gain_up'] or float('inf'):.1f},"
-            f" delay +{1e3 * one['delay_margin_s']:.1f} ms"
+        gain_up, delay_s = (  # None: no change of it makes the loop unstable
+            math.inf if one[key] is None else one[key] for key in ("gain_up", "delay_margin_s")
         )
-        for line in (*one["reasons"], *one["notes"]):
-            show(f"  {line}")
-    for line in report["notes"]:
-        show(line)
+        lines += [
+            f"{axis}: " + ", ".join(f"{k} {v:.6g}" for k, v in one["gains"].items()),
+            f"  settles in {one['settling_s']:.3f} s, overshoot {one['overshoot_pct']:.1f} %,"
+            f" RMS {one['rms']:.3f} of the step, maximum sensitivity {one['max_sensitivity']:.2f},"
+            f" gain x{gain_up:.1f}, delay +{1e3 * delay_s:.1f} ms",
+            *(f"  {line}" for line in (*one["reasons"], *one["notes"])),
+        ]
+    return [*lines, *report["notes"]]
 
 
 def convert(
@@ -257,21 +258,16 @@ def convert(
     made = convert_gains(given, kind, to, fitted_model(model, attitude=True), 1e3 * supply_v)
     release: Release | None = "2014" if to == "firmware" else None
     write_new(output, gains_text(made, release, to if to == "whole" else None))
-    if as_json:
-        told = {
-            k: dict(zip(("kp", "ki", "kd"), g.as_tuple(), strict=True))
-            if isinstance(g, PidGains)
-            else g
-            for k, g in made.items()
-        }
-        show_json({"from": kind, "to": to, "gains": told, "output": str(output)})
-        return
+    told, lines = dict[str, Any](), []
     for name, value in made.items():
         if isinstance(value, PidGains):
-            show(f"{name}: kp {value.kp:.6g}, ki {value.ki:.6g}, kd {value.kd:.6g}")
+            told[name] = dict(zip(("kp", "ki", "kd"), value.as_tuple(), strict=True))
+            lines.append(f"{name}: kp {value.kp:.6g}, ki {value.ki:.6g}, kd {value.kd:.6g}")
         else:
-            show(f"{name} = {value:.6g}")
-    say_written(output)
+            told[name] = value
+            lines.append(f"{name} = {value:.6g}")
+    whole = {"from": kind, "to": to, "gains": told, "output": str(output)}
+    answer(as_json, whole, lines, output)
 
 
 def release_of(model: Model, said: str | None) -> Release:
@@ -324,8 +320,7 @@ def evaluate(
     from groundstation.control.linear_loop import LOOPS
     from groundstation.control.report import METRICS_HEAD, evaluation_page, metrics_row, table_lines
 
-    if html is not None:
-        require_new(html)
+    require_new(html)
     if not 0.1 <= seconds <= 60.0:
         raise BadInputError(f"--seconds {seconds}: must be 0.1..60")
     given: dict[str, PidGains] | dict[str, float] = {} if gains is None else load_gains(gains)
@@ -344,10 +339,7 @@ def evaluate(
     if html is not None:
         name = "stock gains" if gains is None else gains.name
         evaluation_page(results, f"{name} on {model}", chosen).write(html)
-    if as_json:
-        axes = {one.axis: one.as_dict() for one in results}
-        show_json({"loop": chosen, "firmware": release, "model": model, "axes": axes})
-        return
-    for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
-        show(line)
-    say_written(html)
+    axes = {one.axis: one.as_dict() for one in results}
+    told = {"loop": chosen, "firmware": release, "model": model, "axes": axes}
+    lines = table_lines(METRICS_HEAD, [metrics_row(one) for one in results])
+    answer(as_json, told, lines, html)

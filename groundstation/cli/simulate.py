@@ -11,13 +11,13 @@ from groundstation import BadInputError
 from groundstation.cli.model_files import (
     AS_JSON,
     ATTITUDE,
+    answer,
     fitted_model,
     require_new,
     runs_from,
     told_turning,
     write_table,
 )
-from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
     from groundstation import Model
@@ -81,13 +81,10 @@ def simulate(
         raise typer.BadParameter("--attitude: along a reference the body turns the craft")
     else:
         report = _along_reference(loaded, str(reference), output, supply_v)
-    if as_json:
-        show_json(report)
-        return
     effects = ", ".join(term.name for term in loaded.effects) or "none"
-    show(f"{output}: {report['rows']} rows, {report['what']}; effects: {effects}")
-    for name, value in report["rms"].items():
-        show(f"  RMS error {name:<20}{value:10.3f}")
+    errors = (f"  RMS error {name:<20}{value:10.3f}" for name, value in report["rms"].items())
+    what = f"{output}: {report['rows']} rows, {report['what']}; effects: {effects}"
+    answer(as_json, report, [what, *errors])
 
 
 def _on_recording(

@@ -161,9 +161,6 @@ def _write(text: str) -> None:
 # What the program prints: every line of it passes through here, and commands no terminal.
 
 
-_CLEAR = "\r\033[K"
-
-
 def show(text: str = "", *, error: bool = False) -> None:
     """Print one line of a command's answer. Raises OSError where that is not possible."""
     spoken()
@@ -186,7 +183,7 @@ def say(text: str, *, end: str = "\n", error: bool = False, clear: bool = False)
     spoken()
     stream = sys.stderr if error else sys.stdout
     try:
-        print(_CLEAR * clear + printable(text), end=end, file=stream, flush=True)
+        print(CLEAR * clear + printable(text), end=end, file=stream, flush=True)
     except OSError:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

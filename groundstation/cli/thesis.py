@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, say_written
-from groundstation.cli.terminal import show, show_json, shown
+from groundstation.cli.model_files import AS_JSON, answer
+from groundstation.cli.terminal import shown
 
 if TYPE_CHECKING:
     from groundstation.thesis.workshop import Entry
@@ -54,8 +54,5 @@ def thesis(
         progress(0.95, "drawing the page")
         seconds = shell.spent.wall_s
         page(done, seconds).write(output / PAGE)
-    if as_json:
-        show_json({**whole(done, seconds), "page": str(output / PAGE)})
-        return
-    show(f"{len(done)} tables and figures in {seconds:.0f} s")
-    say_written(output / PAGE)
+    told = {**whole(done, seconds), "page": str(output / PAGE)}
+    answer(as_json, told, [f"{len(done)} tables and figures in {seconds:.0f} s"], output / PAGE)

@@ -97,9 +97,7 @@ class Spectrum:
     expected: Array
 
 
-def where(
-    errors: Sequence[AheadErrors], floors: Sequence[Floor], most: int | None = None
-) -> list[Place]:
+def where(errors: Sequence[AheadErrors], floors: Sequence[Floor]) -> list[Place]:
     """Every channel in every regime, the most significant excess first.
 
     errors: of the model on the runs; floors: what the black box leaves, in the same rows.
@@ -137,7 +135,7 @@ def where(
                     seconds,
                 )
             )
-    return _ranked(places)[:most]
+    return _ranked(places)
 
 
 def _ranked(places: Sequence[Place]) -> list[Place]:
@@ -276,7 +274,7 @@ class Comparison(Result):
     turning: Turning = "body"
     warnings: Mapping[str, str] = field(default_factory=dict)
     horizons_s: tuple[float, ...] = HORIZONS_S
-    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.report_html:comparison"
+    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.report:comparison"
 
     def _what(self) -> str:
         names = ", ".join(dict.fromkeys(one.run.name for one in self.errors))
@@ -317,18 +315,12 @@ class Comparison(Result):
         """Another model on the same runs, beside the same floor. every_s: predictions start no more
         often than that. same_observer: of one that hardly differs, with the noise that suits this
         one."""
-        errors = tuple(
-            ahead_errors(
-                one.recorded,
-                model,
-                like=one,
-                same_observer=same_observer,
-                turning=self.turning,
-                every_s=every_s,
-                horizons_s=self.horizons_s,
-            )
-            for one in self.errors
-        )
+        if model == self.model:  # which noise suits it is known, and perhaps what it predicts
+            fewer = [one.begun_every(every_s) for one in self.errors]
+            if all(fewer):
+                return replace(self, errors=tuple(one for one in fewer if one is not None))
+            same_observer = True
+        errors = self._ahead(model, every_s, same_observer, self.horizons_s)
         return replace(self, model=model, errors=errors)
 
     def further(self, black_box: BlackBox | None = None) -> Comparison:
@@ -336,9 +328,26 @@ class Comparison(Result):
 
         black_box: learnt that far ahead on other runs; None: learnt on these.
         """
-        far = replace(self, horizons_s=FURTHER_S).with_model(self.model, FURTHER_EVERY_S)
-        floors, learnt = _floors(far.errors, self.model, black_box)
+        errors = self._ahead(self.model, FURTHER_EVERY_S, True, FURTHER_S)
+        floors, learnt = _floors(errors, self.model, black_box, self)
+        far = replace(self, errors=errors, horizons_s=FURTHER_S)
         return replace(far, floors=floors, black_box=learnt)
+
+    def _ahead(
+        self, model: Model, every_s: float, same_observer: bool, horizons_s: tuple[float, ...]
+    ) -> tuple[AheadErrors, ...]:
+        return tuple(
+            ahead_errors(
+                one.recorded,
+                model,
+                like=one,
+                same_observer=same_observer,
+                turning=self.turning,
+                every_s=every_s,
+                horizons_s=horizons_s,
+            )
+            for one in self.errors
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +365,7 @@ def compare(
     black_box: BlackBox | None = None,
     turning: Turning = "body",
 ) -> Comparison:
-    """Judge a model on runs (``recordings.flights_of``), or on parts of them.
+    """Judge a model on runs (``runs.flights_of``), or on parts of them.
 
     black_box: learnt on other runs, so that it has not seen these; None: learnt on these.
     turning: what turns the craft, the model's body or its ARX polynomials.
@@ -386,9 +395,16 @@ def compare(
 
 
 def _floors(
-    errors: Sequence[AheadErrors], model: Model, black_box: BlackBox | None
+    errors: Sequence[AheadErrors],
+    model: Model,
+    black_box: BlackBox | None,
+    near: Comparison | None = None,
 ) -> tuple[tuple[Floor, ...], BlackBox]:
+    """near: with the same errors at other horizons."""
     configuration = model_vehicle(model).configuration
-    prepared = [prepare(one, configuration) for one in errors]
-    learnt = black_box if black_box is not None else learn(prepared)
+    known = [None] * len(errors) if near is None else near.floors
+    prepared = [prepare(one, configuration, own) for one, own in zip(errors, known, strict=True)]
+    learnt = black_box
+    if learnt is None:
+        learnt = learn(prepared, None if near is None else near.black_box)
     return tuple(floor_errors(learnt, one) for one in prepared), learnt

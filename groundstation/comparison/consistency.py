@@ -372,10 +372,6 @@ def _rotors(told: dict[Hypothesis, Answer], model: Model) -> str:
     best = max(told, key=lambda one: told[one].score)
     if told[best].score <= max(EXPLAINED, told[given].score + CLEARLY):
         return ""
-    return _other_rotors(given, best, told)
-
-
-def _other_rotors(given: Hypothesis, best: Hypothesis, told: dict[Hypothesis, Answer]) -> str:
     share, before = (100.0 * max(told[one].score, 0.0) for one in (best, given))
     if best.inverted is not None:
         axis = AXES[best.inverted]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from groundstation.dynamics.effect import SPIN
 from groundstation.dynamics.model import Model, Turning, model_vehicle, rotor_motors
 from groundstation.dynamics.simulation import REVOLUTION
-from groundstation.identification.arx.workflow import with_arx_attitude
+from groundstation.identification.arx import with_arx_attitude
 from groundstation.identification.flight import flights_in, velocity_of
 from groundstation.identification.runs import (
     SATURATED,
@@ -69,7 +69,7 @@ class Motion:
 
     squares: rotors behind the run. torque: (n, 3) modelled angular acceleration, rad/s^2.
     thrust: (n,) modelled specific force along z, m/s^2. velocity: (n, 3) forward, left, up in the
-    body, m/s (``identification.velocity``: steady speed is forgotten); zero without accelerometer
+    body, m/s (``identification.flight``: steady speed is forgotten); zero without accelerometer
     or attitude. spin: (n,) -n1+n2-n3+n4 in rad/s. flown: (n,) airborne.
     since_start_s, before_end_s: (n,) time to the ends of the flight, infinite where the recording
     does not show them.
@@ -215,7 +215,8 @@ class AheadErrors:
     foretells the run better with this model (``observe_as_it_is``). step: at the shortest
     horizon, ``step_rows`` (9,): one row, but more where the attitude is refreshed every few rows.
     horizons: one for each that was asked for, which are ``rows`` (9,) each. NaN where the first or
-    last row is outside flight or was not measured afresh.
+    last row is outside flight or was not measured afresh. begun: (m,) rows from which predictions
+    start, one of ``stride`` that are settled and in the air.
     """
 
     recorded: Run
@@ -227,6 +228,27 @@ class AheadErrors:
     step: Array
     horizons: tuple[Array, ...]
     rows: tuple[NDArray[np.int64], ...]
+    begun: NDArray[np.int64]
+    stride: int
+
+    def begun_every(self, every_s: float) -> AheadErrors | None:
+        """The same of predictions that start no more often than that; None where these start more
+        seldom than in every row."""
+        if self.stride != 1:
+            return None
+        stride = _stride(every_s, self.run.period_s)
+        begun = self.begun[::stride]
+
+        def kept(errors: Array, rows: NDArray[np.int64]) -> Array:
+            found = np.full_like(errors, np.nan)
+            for part in (slice(0, 6), ATTITUDE):
+                at = begun + int(rows[part][0])
+                found[at, part] = errors[at, part]
+            return found
+
+        horizons = tuple(map(kept, self.horizons, self.rows))
+        step = kept(self.step, self.step_rows)
+        return replace(self, step=step, horizons=horizons, begun=begun, stride=stride)
 
 
 def ahead_errors(
@@ -274,11 +296,13 @@ def ahead_errors(
         seen, chosen = observe_run(model, driven, noise=like.chosen), like.chosen
     else:
         seen, chosen = observe_as_it_is(model, driven, noise)
-    ahead = predict_observed(driven, seen, counts, stride=_stride(every_s, run.period_s))
+    stride = _stride(every_s, run.period_s)
+    ahead = predict_observed(driven, seen, counts, stride=stride)
     if turning == "arx":
         ahead = with_arx_attitude(ahead, model, whole)
     step, *horizons = _where_judged(ahead, driven, known, (step_rows, *rows))
-    return AheadErrors(run, whole, moved, noise, chosen, step_rows, step, tuple(horizons), rows)
+    known_of = run, whole, moved, noise, chosen, step_rows, step, tuple(horizons), rows
+    return AheadErrors(*known_of, ahead.rows, stride)
 
 
 def _where_judged(

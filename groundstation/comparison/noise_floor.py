@@ -35,7 +35,7 @@ from groundstation.dynamics.vehicle import MIXERS, Configuration
 from groundstation.identification.flight import LEAK_S, velocity_of
 from groundstation.identification.runs import Run
 from groundstation.prediction.drive import fresh_rows
-from groundstation.telemetry.arrays import AXES, Array
+from groundstation.telemetry.arrays import Array
 
 # The noise model of a prediction-error fit: autoregressive, estimated from what is left over.
 #
@@ -100,94 +100,49 @@ PAST_ROWS = 4
 PULL_S = 0.1
 MOTOR_S = 0.05
 """A small motor with its propeller settles within about this time."""
-GROUND_S = (0.4,)
-MIXED = (*AXES, "collective")
-
-
-@dataclass(frozen=True, slots=True)
-class Signals:
-    """names: (p,) in words. values: (n, p)."""
-
-    names: tuple[str, ...]
-    values: Array
+GROUND_S = 0.4
 
 
 Kind = Literal["torque", "force", "attitude"]
 """What one-step errors are of."""
 
 
-def signals_of(run: Run, motion: Motion, configuration: Configuration, kind: Kind) -> Signals:
-    """Candidates for the one-step errors of a kind."""
-    mixer = MIXERS[configuration]
-    common = _Collected()
+def signals_of(run: Run, motion: Motion, configuration: Configuration, kind: Kind) -> Array:
+    """Candidates (n, p) for the one-step errors of a kind."""
+    period = run.period_s
+
+    def mixed(values: Array) -> Array:
+        """Roll, pitch, yaw and collective part of one value per rotor."""
+        return np.hstack([values @ MIXERS[configuration].T, values.sum(axis=1, keepdims=True)])
+
+    own = mixed(motion.squares.end if kind == "force" else motion.squares.square)
+    own = own[:, :3] if kind == "attitude" else own
+    signals = [_late(own, lag) for lag in (0, *LAGS)]
+    if kind != "attitude":  # fading closeness to take-off and landing
+        ends = (np.clip(away, 0.0, None) for away in (motion.since_start_s, motion.before_end_s))
+        signals += [own * np.exp(-away / GROUND_S)[:, None] for away in ends]
     speed = np.sqrt(motion.squares.end)
-    slope = _change(speed, run.period_s)
+    slope = _change(speed, period)
+    slowing = np.minimum(slope, 0.0)
+    signals += [mixed(one) for one in (speed, slope, slowing)]
+    # What slowed down: a brake, whose torque fades as the motor settles.
+    signals.append(mixed(speed * _leaky(slowing, MOTOR_S, period)))
     # The mean over the recording makes it a deviation; the voltage itself is the battery's word.
     charge = (run.supply_v - np.mean(run.supply_v))[:, None]
-    common.add("rotor speed", MIXED, _mixed(speed, mixer))
-    common.add("rotor acceleration", MIXED, _mixed(slope, mixer))
-    common.add("rotors slowing down", MIXED, _mixed(np.minimum(slope, 0.0), mixer))
-    lost = speed * _leaky(np.minimum(slope, 0.0), MOTOR_S, run.period_s)
-    common.add("rotors that slowed down", MIXED, _mixed(lost, mixer))
-    common.add("thrust by battery voltage", MIXED, _mixed(motion.squares.end * charge, mixer))
-    common.add("motor voltage", MIXED, _mixed(armature_mv(run.duty, run.supply_v), mixer))
+    signals += [mixed(motion.squares.end * charge), mixed(armature_mv(run.duty, run.supply_v))]
     past = _past_mean(run.gyro)
     p, q, r = past.T
-    common.add("rate", AXES, past)
-    common.add("rate times its magnitude", AXES, past * np.abs(past))
-    common.add("rate products", ("pq", "qr", "pr"), np.column_stack([p * q, q * r, p * r]))
-    common.add("squared rate", AXES, past**2)
+    signals += [past, past * np.abs(past), np.column_stack([p * q, q * r, p * r]), past**2]
+    # Momentum of the rotors, which a rate turns and its change answers to.
     spin = motion.spin[:, None]
-    common.add("rate by rotor momentum", AXES[:2], spin * past[:, :2])
-    common.add("rotor momentum", ("change",), _change(spin, run.period_s))
-    common.add("offset", ("constant",), np.ones((len(run), 1)))
-    attitude = np.sin(np.nan_to_num(run.attitude[:, :2]))
-    common.add("tilt", AXES[:2], _late(attitude, 4))
+    signals += [spin * past[:, :2], _change(spin, period), np.ones((len(run), 1))]
     pull = np.nan_to_num(run.accelerometer[:, :2])
-    force = _late(_leaky(pull, PULL_S, run.period_s) / PULL_S, 1)
-    common.add("specific force in the plane", ("forward", "left"), force)
-    ways = ("forward", "left", "up")
+    signals.append(_late(np.sin(np.nan_to_num(run.attitude[:, :2])), 4))
+    signals.append(_late(_leaky(pull, PULL_S, period) / PULL_S, 1))
     # A second leak beside the usual one: together they bend to the craft's own speed.
-    slow = _late(velocity_of(run, LEAK_S), 1)
-    common.add("slow velocity", ways, slow)
+    signals.append(_late(velocity_of(run, LEAK_S), 1))
     velocity = _late(motion.velocity, 1)
-    common.add("velocity", ways, velocity)
-    common.add("velocity times its magnitude", ways, velocity * np.abs(velocity))
-    squares = motion.squares.end if kind == "force" else motion.squares.square
-    own = _mixed(squares, mixer)
-    if kind == "attitude":
-        inputs = _lagged(own[:, :3], AXES)
-    else:
-        inputs, ground = _lagged(own, MIXED), _ground(motion)
-        for column in range(ground.shape[1]):
-            inputs.add("rotor squares near the ground", MIXED, own * ground[:, [column]])
-    names = (*inputs.names, *common.names)
-    return Signals(names, np.hstack([*inputs.columns, *common.columns]))
-
-
-class _Collected:
-    """Columns and their names, as they come."""
-
-    def __init__(self) -> None:
-        self.names: list[str] = []
-        self.columns: list[Array] = []
-
-    def add(self, what: str, parts: tuple[str, ...], values: Array) -> None:
-        self.names += [f"{what}, {part}" for part in parts]
-        self.columns.append(values)
-
-
-def _lagged(own: Array, parts: tuple[str, ...]) -> _Collected:
-    inputs = _Collected()
-    for lag in (0, *LAGS):
-        when = f" {lag} rows before" if lag else ""
-        inputs.add(f"rotor squares{when}", parts, _late(own, lag))
-    return inputs
-
-
-def _mixed(values: Array, mixer: Array) -> Array:
-    """Roll, pitch, yaw and collective part of one value per rotor."""
-    return np.hstack([values @ mixer.T, values.sum(axis=1, keepdims=True)])
+    return np.hstack([*signals, velocity, velocity * np.abs(velocity)])
 
 
 def _late(values: Array, rows: int) -> Array:
@@ -213,14 +168,6 @@ def _past_mean(values: Array) -> Array:
     total = np.cumsum(np.vstack([np.repeat(values[:1], PAST_ROWS + 1, axis=0), values]), axis=0)
     count = len(values)
     return (total[PAST_ROWS : PAST_ROWS + count] - total[:count]) / PAST_ROWS
-
-
-def _ground(motion: Motion) -> Array:
-    """Fading closeness to take-off and landing, (n, 2)."""
-    columns = []
-    for away in (motion.since_start_s, motion.before_end_s):
-        columns += [np.exp(-np.clip(away, 0.0, None) / fade) for fade in GROUND_S]
-    return np.column_stack(columns)
 
 
 # Which generic signals clearly show in a channel's one-step errors, and how strongly.
@@ -376,14 +323,21 @@ KINDS: tuple[Kind, ...] = ("torque", "force", "attitude")
 class BlackBox:
     """What was learnt.
 
-    channels: None where the recordings lack it. past: for each of ``HORIZONS_S``, (9, m) weights
+    channels: None where the recordings lack it; fitted: the same with the signals that do not help
+    at the horizons, learnt on ``runs``. past: for each of ``HORIZONS_S``, (9, m) weights
     of the channel's memories and of its rate's; zero where it does not pay. whiteners: of the
     shortest horizon's errors, per channel, for spectra.
     """
 
     channels: tuple[ChannelPredictor | None, ...]
+    fitted: tuple[ChannelPredictor | None, ...]
+    runs: tuple[Run, ...]
     past: tuple[Array, ...]
     whiteners: tuple[Array, ...]
+
+
+Shares = dict[int, tuple[ChannelPredictor, Array]]
+"""By channel, a predictor and what it explains of a run's one-step errors (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -391,53 +345,56 @@ class Floor:
     """What noise leaves of a run, SI, (n, 9) each.
 
     horizons: as ``AheadErrors`` has them. step: of the shortest one, whitened by an
-    autoregression: as large as a perfect observer's errors would be, which are white.
+    autoregression: as large as a perfect observer's errors would be, which are white. shares: what
+    signals explain of it, at any horizon.
     """
 
     horizons: tuple[Array, ...]
     step: Array
+    shares: Shares
 
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """One run: one-step errors (n, 9), the craft's layout, and stretches in the air."""
+    """One run: one-step errors (n, 9), the craft's layout, and stretches in the air; what signals
+    explain, as far as it was asked."""
 
     errors: AheadErrors
     step: Array
     configuration: Configuration
     stretches: tuple[slice, ...]
+    shares: Shares
 
-    def signals(self, kind: Kind) -> Signals:
+    def signals(self, kind: Kind) -> Array:
         """Candidates for errors of a kind: made when they are asked for, since those of a minute
         of flight are 20 MB."""
         return signals_of(self.errors.run, self.errors.motion, self.configuration, kind)
 
 
-def prepare(errors: AheadErrors, configuration: Configuration) -> Prepared:
-    """errors: of any base model on the run; its rows, its motion and its body are used."""
+def prepare(
+    errors: AheadErrors, configuration: Configuration, known: Floor | None = None
+) -> Prepared:
+    """errors: of any base model on the run; its rows, its motion and its body are used. known: a
+    floor of the same one-step errors."""
     flown = np.concatenate([[0], errors.motion.flown.astype(np.int8), [0]])
     edges = np.flatnonzero(np.diff(flown)).reshape(-1, 2)
     stretches = tuple(
         slice(int(first) + 2, int(last)) for first, last in edges if last - first > LEAST_ROWS
     )
-    return Prepared(errors, _one_step(errors), configuration, stretches)
+    shares = {} if known is None else dict(known.shares)
+    return Prepared(errors, _one_step(errors), configuration, stretches, shares)
 
 
-def learn(prepared: Sequence[Prepared]) -> BlackBox:
-    """Fit the black box on runs."""
-    found: list[ChannelPredictor | None] = []
-    shares = [np.zeros_like(one.step) for one in prepared]
-    for first, kind in zip((0, 3, 6), KINDS, strict=True):
-        signals = [one.signals(kind) for one in prepared]
-        pieces = [
-            (_taken(own.values, rows), one.step[rows, first : first + 3])
-            for one, own in zip(prepared, signals, strict=True)
-            for rows in _rows(one, first)
-        ]
-        fitted = fit_signals(pieces) if pieces else [None] * 3
-        for one, own, explained in zip(prepared, signals, shares, strict=True):
-            explained[:, first : first + 3] = _share(one, own, fitted)
-        found += fitted
+def learn(prepared: Sequence[Prepared], known: BlackBox | None = None) -> BlackBox:
+    """Fit the black box on runs. known: one with other horizons; where it was learnt on the same
+    runs, its signals are those that show in these."""
+    runs = tuple(one.errors.run for one in prepared)
+    same = known is not None and len(known.runs) == len(runs)
+    if known is not None and same and all(a is b for a, b in zip(known.runs, runs, strict=True)):
+        found = list(known.fitted)
+    else:
+        found = [one for first in (0, 3, 6) for one in _fitted(prepared, first)]
+    shares = [_shares(one, found) for one in prepared]
     plain = [_unexplained(one, found, np.zeros_like(one.step)) for one in prepared]
     left = [_unexplained(one, found, share) for one, share in zip(prepared, shares, strict=True)]
     # Never more than it knows without: signals that do not help at the horizons are left out.
@@ -454,17 +411,29 @@ def learn(prepared: Sequence[Prepared]) -> BlackBox:
             for one, made in zip(left, prepared, strict=True)
             for rows in _rows(made, channel)
         ]
-        known = [part[np.isfinite(part)] for part in series]
-        whiteners.append(estimate_noise(known, WHITEN_ORDER).whitener if known else np.ones(1))
-    return BlackBox(channels, _learn_past(prepared, left), tuple(whiteners))
+        told = [part[np.isfinite(part)] for part in series]
+        whiteners.append(estimate_noise(told, WHITEN_ORDER).whitener if told else np.ones(1))
+    past = _learn_past(prepared, left)
+    return BlackBox(channels, tuple(found), runs, past, tuple(whiteners))
+
+
+def _fitted(prepared: Sequence[Prepared], first: int) -> Sequence[ChannelPredictor | None]:
+    """Predictors of three channels, and what they explain, for ``Prepared.shares``."""
+    signals = [one.signals(KINDS[first // 3]) for one in prepared]
+    pieces = [
+        (_taken(own, rows), one.step[rows, first : first + 3])
+        for one, own in zip(prepared, signals, strict=True)
+        for rows in _rows(one, first)
+    ]
+    fitted = fit_signals(pieces) if pieces else [None] * 3
+    for one, own in zip(prepared, signals, strict=True):
+        _explain(one, first, fitted, own)
+    return fitted
 
 
 def floor_errors(black_box: BlackBox, prepared: Prepared) -> Floor:
     """What the black box leaves of a run, in the rows of its errors."""
-    share = np.zeros_like(prepared.step)
-    for first, kind in zip((0, 3, 6), KINDS, strict=True):
-        fitted = black_box.channels[first : first + 3]
-        share[:, first : first + 3] = _share(prepared, prepared.signals(kind), fitted)
+    share = _shares(prepared, black_box.channels)
     left = _unexplained(prepared, black_box.channels, share)
     memories = _memories(left.step, prepared.errors.run.period_s)
     horizons = []
@@ -484,7 +453,7 @@ def floor_errors(black_box: BlackBox, prepared: Prepared) -> Floor:
             series = np.nan_to_num(left.totals[0][rows, channel])
             step[rows, channel] = _weighted(series[:, None], whitener)[:, 0]
     step[~np.isfinite(left.totals[0])] = np.nan
-    return Floor(tuple(horizons), step)
+    return Floor(tuple(horizons), step, prepared.shares)
 
 
 def _one_step(errors: AheadErrors) -> Array:
@@ -546,23 +515,41 @@ def _unexplained(
     for channel, predictor in enumerate(channels):
         if predictor is None:
             continue
-        for rows in _rows(one, channel):
-            step[rows, channel] = one.step[rows, channel] - share[rows, channel]
-    totals = []
-    for counts, error in zip(_counts(one), (errors.step, *errors.horizons), strict=True):
+        for known in _rows(one, channel):
+            step[known, channel] = one.step[known, channel] - share[known, channel]
+    totals, rows = [], (errors.step_rows, *errors.rows)
+    for counts, error in zip(rows, (errors.step, *errors.horizons), strict=True):
         total = step.copy()  # specific force is judged at the end only: nothing adds up
         for part in (GYRO, ATTITUDE):
             total[:, part] = _weighted(step[:, part], np.ones(int(counts[part][0])))
-        turned = _weighted(step[:, GYRO], _angle_weights(int(counts[6])))
+        # A rate error of each row, the last one first, lasts to the end, by the trapezoidal rule.
+        turned = _weighted(step[:, GYRO], np.arange(int(counts[6]), dtype=np.float64) + 0.5)
         total[:, ATTITUDE] += _turn(errors.run.attitude, turned * period)
         total[~np.isfinite(error)] = np.nan
         totals.append(total)
     return _Unexplained(step, tuple(totals))
 
 
-def _share(one: Prepared, signals: Signals, predictors: Sequence[ChannelPredictor | None]) -> Array:
-    """What signals explain of the one-step errors of their three channels, (n, 3), without
-    vibration.
+def _shares(one: Prepared, predictors: Sequence[ChannelPredictor | None]) -> Array:
+    """What predictors of every channel explain of the one-step errors, (n, 9)."""
+    found = np.zeros_like(one.step)
+    for first in (0, 3, 6):
+        own = predictors[first : first + 3]
+        _explain(one, first, own)
+        for channel, predictor in enumerate(own, first):
+            if predictor is not None and len(predictor.columns):
+                found[:, channel] = one.shares[channel][1]
+    return found
+
+
+def _explain(
+    one: Prepared,
+    first: int,
+    predictors: Sequence[ChannelPredictor | None],
+    signals: Array | None = None,
+) -> None:
+    """What signals explain of the one-step errors of three channels, from ``first`` on, without
+    vibration, into ``shares``; signals: those of the three, where they are at hand.
 
     Through the controller the inputs hold the vibration of the rows before, and noise-free sums
     of them foretell the next row's. Smoothed on all rows, before an attitude of every second row
@@ -570,15 +557,19 @@ def _share(one: Prepared, signals: Signals, predictors: Sequence[ChannelPredicto
     """
     from scipy.ndimage import gaussian_filter1d
 
-    share = np.zeros((len(one.step), len(predictors)))
     sigma = SMOOTH_S / one.errors.run.period_s
-    for column, predictor in enumerate(predictors):
+    for channel, predictor in enumerate(predictors, first):
         if predictor is None or not len(predictor.columns):
             continue
+        if channel in one.shares and one.shares[channel][0] is predictor:
+            continue
+        if signals is None:
+            signals = one.signals(KINDS[first // 3])
+        share = np.zeros(len(one.step))
         for stretch in one.stretches:
-            explained = signals.values[stretch, predictor.columns] @ predictor.weights
-            share[stretch, column] = gaussian_filter1d(explained, sigma, mode="nearest")
-    return share
+            explained = signals[stretch, predictor.columns] @ predictor.weights
+            share[stretch] = gaussian_filter1d(explained, sigma, mode="nearest")
+        one.shares[channel] = predictor, share
 
 
 def _learn_past(prepared: Sequence[Prepared], left: Sequence[_Unexplained]) -> tuple[Array, ...]:
@@ -632,22 +623,11 @@ def _remembered(memories: Array, channel: int) -> Array:
     return np.hstack([own, rate])
 
 
-def _counts(one: Prepared) -> tuple[NDArray[np.int64], ...]:
-    """Rows (9,) of the shortest horizon and of each of ``HORIZONS_S``."""
-    return (one.errors.step_rows, *one.errors.rows)
-
-
 def _weighted(values: Array, weights: Array) -> Array:
     """Row k: sum over j of ``weights[j] values[k - j]``; values (n, m)."""
     from scipy.signal import lfilter
 
     return lfilter(weights, [1.0], values, axis=0)
-
-
-def _angle_weights(count: int) -> Array:
-    """What a rate error of each row of a horizon, last row first, adds to the angle at its end:
-    it lasts from its row on, by the trapezoidal rule."""
-    return np.arange(count, dtype=np.float64) + 0.5
 
 
 def _turn(attitude: Array, turned: Array) -> Array:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from groundstation.control.firmwares import (
     firmware_of_model,
     require_finite,
 )
-from groundstation.control.metrics import LoopResponse, Margins
+from groundstation.control.metrics import LoopResponse
 from groundstation.documents import decode_toml, explained, read_document, seems
 from groundstation.dynamics.craft import Crafts, craft_of_model, craft_of_motors
 from groundstation.dynamics.effect import FAR_M
@@ -88,10 +89,10 @@ class Plant:
     def slopes(self, axis: int) -> tuple[float, float, float]:
         """Around the hover, of the angular acceleration of an axis: damping in 1/s, by the speed of
         all rotors moved as the mixer says in (rad/s^2) per rev/s, and by their slope."""
-        moved = np.sign(self.mixer[axis])
+        moved, start = np.sign(self.mixer[axis]), self.start[None, : RATE.stop + 4]
 
         def turn(rate: float, speed: float, slope: float) -> float:
-            state = self.start[None, : RATE.stop + 4].copy()
+            state = start.copy()
             state[0, RATE.start + axis] = rate
             state[0, ROTOR] += speed * moved
             found = accelerations(self.craft, state, slope * moved[None])
@@ -105,18 +106,34 @@ class Plant:
         """What the gyro makes of a rate at s (n,) in 1/s, without the delay."""
         if not self.craft[0]["sensor_states"]:
             return np.ones_like(s)
-        from groundstation.dynamics.sensing import gyro_step
-
-        shown = np.empty(round(RESPONSE_S / RESPONSE_STEP_S))
-        gyro_step(self.craft[0], RESPONSE_STEP_S, shown)
-        time = RESPONSE_STEP_S * (np.arange(len(shown)) + 0.5)
-        left = shown[-1] - shown
-        lost = (np.exp(-np.outer(s, time)) @ left) * RESPONSE_STEP_S
-        return shown[-1] - s * lost
+        last, left = _gyro_step(self.craft[:1].tobytes(), self.craft.dtype)
+        # Laplace integral by midpoints, exp(-s t) = exp(-s of the block) exp(-s within it)
+        within = RESPONSE_STEP_S * (np.arange(RESPONSE_BLOCK) + 0.5)
+        begun = RESPONSE_STEP_S * RESPONSE_BLOCK * np.arange(len(left))
+        blocks = np.exp(-np.outer(s, within)) @ left.T
+        lost = (np.exp(-np.outer(s, begun)) * blocks).sum(axis=1) * RESPONSE_STEP_S
+        return last - s * lost
 
 
 RESPONSE_S, RESPONSE_STEP_S = 0.5, 1e-4
 """Length and step of the sensors' step response."""
+RESPONSE_BLOCK = 100
+"""Its rows in a block: 5000 rows want 150 exponentials a frequency and not 5000."""
+SETTLED = 1e-12
+"""rad/s: blocks that are closer to the end of a step of 1 rad/s are settled, but for rounding."""
+
+
+@lru_cache(maxsize=512)
+def _gyro_step(craft: bytes, fields: np.dtype[np.void]) -> tuple[float, Array]:
+    """What the gyro shows in the end of a step of the rate by 1 rad/s, and what it lacks before,
+    (n, ``RESPONSE_BLOCK``): the same for every axis of a craft."""
+    from groundstation.dynamics.sensing import gyro_step
+
+    shown = np.empty(round(RESPONSE_S / RESPONSE_STEP_S))
+    gyro_step(np.frombuffer(craft, fields).copy()[0], RESPONSE_STEP_S, shown)
+    left = (shown[-1] - shown).reshape(-1, RESPONSE_BLOCK)
+    settled = np.flatnonzero(np.abs(left).max(axis=1) > SETTLED).max(initial=0)
+    return float(shown[-1]), left[: settled + 1].copy()
 
 
 def plant_of_model(model: Model, fusion: bool = True, release: str | None = None) -> Plant:
@@ -161,12 +178,7 @@ STEP_RAD = {"roll": math.radians(10), "pitch": math.radians(10), "yaw": math.rad
 
 FIRMWARE_FIELDS = np.dtype(
     [
-        ("rate_kp", "f8", (3,)),
-        ("rate_ki", "f8", (3,)),
-        ("rate_kd", "f8", (3,)),
-        ("angle_kp", "f8", (3,)),
-        ("angle_ki", "f8", (3,)),
-        ("angle_kd", "f8", (3,)),
+        *((f"{loop}_{k}", "f8", (3,)) for loop in ("rate", "angle") for k in ("kp", "ki", "kd")),
         ("rate_limit", "f8", (3,)),
         ("angle_limit", "f8", (3,)),
         ("fusion_kp", "f8"),
@@ -203,10 +215,7 @@ def require_gains(gains: Mapping[str, float], where: str) -> None:
             raise BadInputError(f"{where}: {name} is {value}, must be 0..{GAIN_MOST:g}")
 
 
-def firmware_of(
-    gains: Mapping[str, float],
-    firmware: Firmware = RELEASE_2014,
-) -> NDArray[np.void]:
+def firmware_of(gains: Mapping[str, float], firmware: Firmware = RELEASE_2014) -> NDArray[np.void]:
     """The firmware at rest, shape (1,); gains not named are stock."""
     record = np.zeros(1, FIRMWARE_FIELDS)
     f = record[0]
@@ -217,8 +226,7 @@ def firmware_of(
                 f[f"{loop}_{gain}"][index] = values[f"{group}.{axis}_{gain}"]
     f["rate_limit"], f["angle_limit"] = firmware.rate_limit, firmware.angle_limit
     f["today"], f["curve"], f["most_n"] = firmware.is_today, firmware.curve, firmware.most_n
-    f["fusion_kp"], f["fusion_ki"] = 0.8, 0.002
-    f["quaternion"][0] = 1.0
+    f["fusion_kp"], f["fusion_ki"], f["quaternion"][0] = 0.8, 0.002, 1.0
     return record
 
 
@@ -231,9 +239,8 @@ def run_cascade(
 ) -> CascadeResponse:
     """Fly setpoints (k, 3), roll and pitch in rad, yaw rate in rad/s, one row per 2 ms.
 
-    thrust: 16-bit, (k,) or one number, by default what carries the craft. supply_mv: likewise.
-    The PWM is what a flight gives on average, in which the thrust wanders across many of its 512
-    steps.
+    thrust: 16-bit, (k,) or one number, by default what carries the craft. supply_mv: likewise. The
+    PWM is what a flight gives on average, in which the thrust wanders across many of its 512 steps.
     The craft starts level, at rest, its rotors at the speed that carries it.
     """
     from groundstation.control.kernels import cascade_run
@@ -242,9 +249,7 @@ def run_cascade(
     rows = len(wanted)
     # new arrays: numba compiles the kernel anew, half a minute, for one that is read-only
     supply = np.full(rows, supply_mv, np.float64)
-    if thrust is None:
-        thrust = plant.hover_thrust(supply)
-    lift = np.full(rows, thrust, np.float64)
+    lift = np.full(rows, plant.hover_thrust(supply) if thrust is None else thrust, np.float64)
     angles, gyro, pwm = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4))
     cascade_run(
         plant.craft[0],
@@ -298,13 +303,9 @@ def loop_response(
     f = firmware_of(gains, plant.firmware)[0]
     fast, slow = integral_ratios(plant.firmware)
     rate = f["rate_kp"][index] + fast * f["rate_ki"][index] * integral
-    slope = 0.0
-    if plant.firmware.is_today:
-        slope = f["rate_kd"][index] * sharp
+    slope = f["rate_kd"][index] * sharp if plant.firmware.is_today else 0.0
     angle = f["angle_kp"][index] + slow * f["angle_ki"][index] * integral
     angle = angle + f["angle_kd"][index] / slow * derivative
-    if not plant.firmware.is_today:
-        rate, slope = rate + slope, 0.0  # of the error, the angle loop's part included
     return base * (rate * (hold + angle * lean) + slope * hold)
 
 
@@ -314,17 +315,11 @@ def integral_ratios(firmware: Firmware) -> tuple[float, float]:
     return (1.0, 1.0) if firmware.is_today else (3.0, 0.5)
 
 
-def cascade_margins(
-    plant: Plant, gains: Mapping[str, float], axis: str, supply_mv: float = SUPPLY_MV
-) -> Margins:
-    """Margins of an axis's loops, broken at the motors' input; meaningful where it is stable."""
-    return cascade_loop(plant, gains, axis, supply_mv).margins
-
-
 def cascade_loop(
     plant: Plant, gains: Mapping[str, float], axis: str, supply_mv: float = SUPPLY_MV
 ) -> LoopResponse:
-    """An axis's loops, broken at the motors' input."""
+    """An axis's loops, broken at the motors' input; their margins mean something where they are
+    stable."""
     omega = np.geomspace(0.05, math.pi / SAMPLE_PERIOD_S, 1500)
     return LoopResponse(omega, loop_response(plant, gains, axis, omega, supply_mv))
 
@@ -347,6 +342,16 @@ COLUMNS = {
     "pid_attitude": {"kp": 2, "ki": 3, "kd": 4},
 }
 """Where the kernel has the gains of an axis."""
+
+
+Worth = Callable[[NDArray[np.intp], Array], NDArray[np.bool_]]
+"""Whether candidates, by their rows (n,), may be any good, by the least that their judgements
+(n, 7) can be: what has not been judged yet is 0."""
+
+
+def all_worth(rows: NDArray[np.intp], judgements: Array) -> NDArray[np.bool_]:
+    """Every candidate is to be judged to its end."""
+    return np.ones(len(rows), np.bool_)
 
 
 class CascadeJudge:
@@ -402,53 +407,60 @@ class CascadeJudge:
         if not firmware.is_today:
             self._stock[_column(f"pid_rate.{axis}_kd")] = 0.0  # without effect
 
-    def __call__(self, candidates: Array) -> Array:
-        from groundstation.control.kernels import cascade_many, measure_many
+    def __call__(self, candidates: Array, worth: Worth = all_worth) -> Array:
+        """Gains (m, d) to judgements (m, 7). What turns out not to be worth it, before a plant is
+        flown, by what is known so far, is infinite as well."""
+        from groundstation.control.kernels import cascade_margins
 
         gains = np.tile(self._stock, (len(candidates), 1))
         gains[:, self._columns] = candidates
-        worst, one = np.zeros((len(gains), 7)), np.zeros((len(gains), 7))
-        peak, compliance = np.empty(len(gains)), np.empty(len(gains))
-        room = self._rest.copy()
-        for plant, parts, sides in zip(self._plants, self._parts, self._sides, strict=True):
+        worst, margins = np.zeros((len(gains), 7)), np.empty((2, len(gains)))
+        for parts in self._parts:
+            cascade_margins(gains, *parts, self._late, *self._ratios, *margins)
+            worst[:, [4, 6]] = np.maximum(worst[:, [4, 6]], margins.T)
+        worst[~(worst[:, 4] <= self._unusable) | ~np.isfinite(worst[:, 4])] = np.inf
+        for plant, sides in zip(self._plants, self._sides, strict=True):
             left = np.flatnonzero(np.isfinite(worst[:, 0]))
-            level = 512.0 * plant.hover_duty(self._supply)
-            y = np.zeros((len(sides), len(left), self._rows))
-            effort = np.empty((len(sides), len(left)))
-            for side, response, largest in zip(sides, y, effort, strict=True):
-                cascade_many(
-                    plant.craft[0],
-                    plant.sensor[0],
-                    plant.airframe_x,
-                    plant.fusion,
-                    plant.start,
-                    self._rest[0],
-                    room[0],
-                    self._index,
-                    gains[left],
-                    *parts,
-                    self._late,
-                    *self._ratios,
-                    self._unusable,
-                    side * self._size,
-                    plant.hover_thrust(self._supply),
-                    level,
-                    self._supply,
-                    SAMPLE_PERIOD_S,
-                    peak[: len(left)],
-                    largest,
-                    compliance[: len(left)],
-                    response,
-                )
-            measure_many(y.mean(axis=0), SAMPLE_PERIOD_S, self._band, one)
-            here = one[: len(left)]
-            here[:, 2] = np.where(np.isnan(here[:, 2]), np.inf, here[:, 2])
-            here[:, 3] = np.abs(here[:, 3])
-            here[:, 4], here[:, 5] = peak[: len(left)], effort.max(axis=0)
-            here[:, 6] = compliance[: len(left)]
-            here[~np.isfinite(here[:, 4])] = np.inf
-            worst[left] = np.maximum(worst[left], here)
+            good = worth(left, worst[left])
+            worst[left[~good]] = np.inf
+            left = left[good]
+            here = self._flown(plant, sides, gains[left])
+            worst[left, :4] = np.maximum(worst[left, :4], here[:, :4])
+            worst[left, 5] = np.maximum(worst[left, 5], here[:, 4])
         return worst
+
+    def _flown(self, plant: Plant, sides: Sequence[float], gains: Array) -> Array:
+        """RMS, overshoot, settling, steady-state error and effort (m, 5) of gains (m, 6)."""
+        from groundstation.control.kernels import cascade_many, measure_many
+
+        room, found = self._rest.copy(), np.zeros((len(gains), 5))
+        level = 512.0 * plant.hover_duty(self._supply)
+        lift = plant.hover_thrust(self._supply)
+        y = np.zeros((len(sides), len(gains), self._rows))
+        effort = np.empty((len(sides), len(gains)))
+        for side, response, largest in zip(sides, y, effort, strict=True):
+            cascade_many(
+                plant.craft[0],
+                plant.sensor[0],
+                plant.airframe_x,
+                plant.fusion,
+                plant.start,
+                self._rest[0],
+                room[0],
+                self._index,
+                gains,
+                side * self._size,
+                lift,
+                level,
+                self._supply,
+                SAMPLE_PERIOD_S,
+                largest,
+                response,
+            )
+        measure_many(y.mean(axis=0), SAMPLE_PERIOD_S, self._band, found)
+        found[:, 2] = np.where(np.isnan(found[:, 2]), np.inf, found[:, 2])
+        found[:, 3], found[:, 4] = np.abs(found[:, 3]), effort.max(axis=0)
+        return found
 
 
 def _over(
@@ -477,13 +489,13 @@ def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple
     push what a push of 1 rad/s^2 moves without a controller."""
     leak = 0.4 if plant.fusion and index < 2 else 0.0
     lean = 1 / (s + leak)
-    damping = plant.slopes(index)[0]
-    base = math.degrees(1) * rate_per_pwm(plant, index, s, supply_mv)
+    slopes = plant.slopes(index)
+    damping = slopes[0]
+    base = math.degrees(1) * rate_per_pwm(plant, slopes, index, s, supply_mv)
     base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
-    push = 1 / (s + damping)
+    push = np.abs(1 / (s + damping) * (1.0 if index == 2 else lean))
     twice = 2 * SAMPLE_PERIOD_S
     derivative = (1 - np.exp(-twice * s)) / twice
-    push = np.abs(push * (1.0 if index == 2 else lean))
     if index == 2 and not plant.firmware.is_today:
         lean = np.zeros_like(s)  # no heading is held
     integral = 1 / s + 0.5 * SAMPLE_PERIOD_S
@@ -497,25 +509,21 @@ def hold_response(s: Complex, period_s: float) -> Complex:
     return (1 - np.exp(-period_s * s)) / (period_s * s)
 
 
-def rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
-    """rad/s of the craft's body per unit of the controller's output, of 16-bit PWM or thrust."""
-    damping, by_speed, by_slope = plant.slopes(index)
-    speed = speed_per_pwm(plant, index, s, supply_mv)
-    return (by_speed + by_slope * s) * speed / (s + damping)
-
-
-def speed_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
-    """rev/s by which the rotors of an axis move, per unit of the controller's output."""
-    motor = {key: float(plant.craft[0][key].mean()) for key in ("a0", "a1", "a2")}
-    pole = motor["a1"] + 2 * motor["a2"] * plant.hover_rev_s
+def rate_per_pwm(
+    plant: Plant, slopes: tuple[float, float, float], index: int, s: Complex, supply_mv: float
+) -> Complex:
+    """rad/s of the craft's body per unit of the controller's output, of 16-bit PWM or thrust, at
+    s (n,) in 1/s. slopes: ``Plant.slopes`` of the axis."""
+    damping, by_speed, by_slope = slopes
+    a0, a1, a2 = (float(plant.craft[0][key].mean()) for key in ("a0", "a1", "a2"))
+    mv = supply_mv / 65536.0
     if plant.firmware.is_today:
         volts = float(plant.hover_duty(supply_mv)) * supply_mv / 1000.0
         mv = 1000.0 * plant.firmware.volts_per_thrust(volts)
-    else:
-        mv = supply_mv / 65536.0
     # Roll moves two rotors (plus), or four by half (x); yaw moves all four.
     share = 0.5 if plant.airframe_x and index < 2 else 1.0
-    return share * motor["a0"] * mv / (s + pole)
+    speed = share * a0 * mv / (s + (a1 + 2 * a2 * plant.hover_rev_s))
+    return (by_speed + by_slope * s) * speed / (s + damping)
 
 
 # Gains in a TOML file: the thesis's form by axis, or the firmware's by parameter name.
@@ -540,10 +548,7 @@ def load_gains(path: str | Path) -> dict[str, PidGains] | dict[str, float]:
     Raises BadInputError naming what is wrong: no file, no TOML, an unknown name, a number that
     no gain can be.
     """
-    where = f"gains {path}"
-    table = _read(path, where)
-    _named(table.pop(FIRMWARE, None), where)
-    _loop(table.pop(LOOP, None), where)
+    where, table = f"gains {path}", _read(path)[0]
     if not table:
         raise BadInputError(f"{where}: holds no gains")
     if any(name in table for name in AXES):
@@ -564,8 +569,7 @@ def firmware_of_gains(path: str | Path) -> Release | None:
 
     Raises as ``load_gains``.
     """
-    where = f"gains {path}"
-    return _named(_read(path, where).get(FIRMWARE), where)
+    return _read(path)[1]
 
 
 def loop_of_gains(path: str | Path) -> str | None:
@@ -573,8 +577,7 @@ def loop_of_gains(path: str | Path) -> str | None:
 
     Raises as ``load_gains``.
     """
-    where = f"gains {path}"
-    return _loop(_read(path, where).get(LOOP), where)
+    return _read(path)[2]
 
 
 def require_gains_of(
@@ -589,9 +592,9 @@ def require_gains_of(
         raise BadInputError(f"gains {path}: for firmware {named}, --firmware says {said}")
     if (named or said or UNNAMED) == release:
         return
-    what = f"for firmware {named or said}"
-    if not (named or said):
-        what = f'taken for firmware {UNNAMED}, for no line says firmware = "{release}"'
+    what = f'taken for firmware {UNNAMED}, for no line says firmware = "{release}"'
+    if named or said:
+        what = f"for firmware {named or said}"
     raise BadInputError(
         f"gains {path}: {what}; {whose} flies {release}, where the same names mean other numbers"
     )
@@ -607,37 +610,26 @@ def gains_text(
     lines += [f'{LOOP} = "{loop}"'] if loop else []
     for name, value in gains.items():
         if isinstance(value, PidGains):
-            lines += [
-                f"[{name}]",
-                *(f"{k} = {v!r}" for k, v in msgspec.structs.asdict(value).items()),
-            ]
+            by_name = msgspec.structs.asdict(value).items()
+            lines += [f"[{name}]", *(f"{k} = {v!r}" for k, v in by_name)]
         else:
             lines.append(f'"{name}" = {value!r}')
     return "\n".join(lines) + "\n"
 
 
-def _read(path: str | Path, where: str) -> dict[str, Any]:
-    content = b""
+def _read(path: str | Path) -> tuple[dict[str, Any], Release | None, str | None]:
+    """A file's gains as they stand, the firmware and the loop that it names."""
+    where, content = f"gains {path}", b""
     try:
         content = read_document(Path(path))
-        return decode_toml(content, dict[str, Any])
+        table = decode_toml(content, dict[str, Any])
     except (OSError, ValueError) as error:
         raise BadInputError(f"{where}: cannot be read: {error}{seems(content)}") from error
-
-
-def _named(value: Any, where: str) -> Release | None:
-    for release in RELEASES:
-        if value == release:
-            return release
-    if value is not None:
-        raise BadInputError(f"{where}: {FIRMWARE} is {value!r}, there are {', '.join(RELEASES)}")
-    return None
-
-
-def _loop(value: Any, where: str) -> str | None:
-    if value is not None and value not in BY_AXIS:
-        raise BadInputError(f"{where}: {LOOP} is {value!r}, there are {', '.join(BY_AXIS)}")
-    return None if value is None else str(value)
+    release, loop = (table.pop(key, None) for key in (FIRMWARE, LOOP))
+    for key, value, known in ((FIRMWARE, release, RELEASES), (LOOP, loop, BY_AXIS)):
+        if value is not None and value not in known:
+            raise BadInputError(f"{where}: {key} is {value!r}, there are {', '.join(known)}")
+    return table, release, loop
 
 
 def _of_axis(value: Any, where: str) -> PidGains:

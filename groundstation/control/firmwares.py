@@ -135,6 +135,8 @@ def _gains(**loops: tuple[float, float, float]) -> dict[str, float]:
     }
 
 
+_YAW_2014 = ("pid_rate.{}_kp", "pid_rate.{}_ki")
+_TILT_2014 = ("pid_rate.{}_kp", *(f"pid_attitude.{{}}_{k}" for k in ("kp", "ki", "kd")))
 RELEASE_2014 = Firmware(
     "2014",
     _gains(
@@ -147,16 +149,10 @@ RELEASE_2014 = Firmware(
     ),
     (100.0, 100.0, 500.0),
     (20.0, 20.0, 360.0),
-    {
-        "roll": (
-            "pid_rate.{}_kp",
-            "pid_attitude.{}_kp",
-            "pid_attitude.{}_ki",
-            "pid_attitude.{}_kd",
-        ),
-        "yaw": ("pid_rate.{}_kp", "pid_rate.{}_ki"),
-    },
+    {"roll": _TILT_2014, "yaw": _YAW_2014},
 )
+_YAW_TODAY = (*_YAW_2014, "pid_attitude.{}_kp", "pid_attitude.{}_ki")
+_TILT_TODAY = (*_YAW_2014, "pid_rate.{}_kd", "pid_attitude.{}_kp", "pid_attitude.{}_ki")
 
 
 def _today(kp: float, ki: float, curve: Curve, most_n: float) -> Firmware:
@@ -172,16 +168,7 @@ def _today(kp: float, ki: float, curve: Curve, most_n: float) -> Firmware:
         ),
         (33.3, 33.3, 166.7),
         (20.0, 20.0, 360.0),
-        {
-            "roll": (
-                "pid_rate.{}_kp",
-                "pid_rate.{}_ki",
-                "pid_rate.{}_kd",
-                "pid_attitude.{}_kp",
-                "pid_attitude.{}_ki",
-            ),
-            "yaw": ("pid_rate.{}_kp", "pid_rate.{}_ki", "pid_attitude.{}_kp", "pid_attitude.{}_ki"),
-        },
+        {"roll": _TILT_TODAY, "yaw": _YAW_TODAY},
         curve,
         most_n,
     )

@@ -508,15 +508,7 @@ def cascade_run(
 
 
 @kernel
-def cascade_many(
-    craft: Any,
-    sensor: Any,
-    airframe_x: bool,
-    fusion: bool,
-    start: Any,
-    rest: Any,
-    f: Any,
-    axis: int,
+def cascade_margins(
     gains: Any,
     base: Any,
     hold: Any,
@@ -528,35 +520,19 @@ def cascade_many(
     late: Any,
     fast: float,
     slow: float,
-    worst_peak: float,
-    size: float,
-    thrust: Any,
-    level: Any,
-    supply_mv: Any,
-    period: float,
     peak: Any,
-    effort: Any,
     compliance: Any,
-    y: Any,
 ) -> None:
-    """Judge gains (m, 6), rate kp and ki, angle kp, ki and kd, rate kd, of one axis by a step of
-    ``size``; level (k,): the steps of 1/512 of full PWM that hold the hover.
+    """Margins of gains (m, 6), rate kp and ki, angle kp, ki and kd, rate kd, of one axis.
 
     The loop at n frequencies is base ((rate) (hold + (angle) lean) + rate derivative hold), with
     the responses of an integral, of the derivatives of angle and rate, and of the craft to a push;
     fast and slow the firmware's factors on integrals, late the phase of more delay. Fills
-    peak (m,), the maximum sensitivity, inf where the loop is unstable or worse than
-    ``worst_peak``; effort (m,), the largest step of a motor, 0..1; compliance (m,), how far
-    a push of 1 rad/s^2 moves it at worst; y (m, k), the response over
-    ``size``. ``rest`` is the firmware at rest, ``f`` room for its state.
+    peak (m,), the maximum sensitivity, inf where the loop is unstable, and compliance (m,), how
+    far a push of 1 rad/s^2 moves it at worst.
     """
-    rows = y.shape[1]
-    setpoints = np.zeros((rows, 3))
-    setpoints[:, axis] = size
-    angles, gyro, compare = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
     for m in range(len(gains)):
-        effort[m], yields = math.inf, 0.0
-        least, phase, delayed, lost = math.inf, 0.0, 0.0, False
+        yields, least, phase, delayed, lost = 0.0, math.inf, 0.0, 0.0, False
         reach, reach_late = 0.0, 0.0
         for i in range(len(base)):
             rate = gains[m, 0] + fast * gains[m, 1] * integral[i]
@@ -584,10 +560,40 @@ def cascade_many(
                 reach, reach_late = phase, delayed
                 lost = i == len(base) - 1
         peak[m], compliance[m] = 1.0 / math.sqrt(least), math.sqrt(yields)
-        stable = reach > -math.pi and reach_late > -math.pi
-        if lost or not stable or peak[m] > worst_peak:
+        if lost or not (reach > -math.pi and reach_late > -math.pi):
             peak[m] = math.inf
-            continue
+
+
+@kernel
+def cascade_many(
+    craft: Any,
+    sensor: Any,
+    airframe_x: bool,
+    fusion: bool,
+    start: Any,
+    rest: Any,
+    f: Any,
+    axis: int,
+    gains: Any,
+    size: float,
+    thrust: Any,
+    level: Any,
+    supply_mv: Any,
+    period: float,
+    effort: Any,
+    y: Any,
+) -> None:
+    """Fly gains (m, 6) as ``cascade_margins`` orders them through a step of ``size`` of one axis;
+    level (k,): the steps of 1/512 of full PWM that hold the hover.
+
+    Fills effort (m,), the largest step of a motor, 0..1; y (m, k), the response over ``size``.
+    ``rest`` is the firmware at rest, ``f`` room for its state.
+    """
+    rows = y.shape[1]
+    setpoints = np.zeros((rows, 3))
+    setpoints[:, axis] = size
+    angles, gyro, compare = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
+    for m in range(len(gains)):
         for kind in range(2):
             for i in range(3):
                 f.integral[kind, i] = 0.0

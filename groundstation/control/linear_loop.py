@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import msgspec
@@ -15,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from groundstation.control.firmware_loop import (
     STEP_RAD,
     Plant,
+    Worth,
+    all_worth,
     cascade_loop,
     hold_response,
     integral_ratios,
@@ -25,7 +28,13 @@ from groundstation.control.firmware_loop import (
     step_response,
 )
 from groundstation.control.firmwares import FULL, RELEASE_2014, PidGains
-from groundstation.control.metrics import LoopResponse, Margins, StepMetrics, step_metrics
+from groundstation.control.metrics import (
+    MARGINS,
+    LoopResponse,
+    Margins,
+    StepMetrics,
+    step_metrics,
+)
 from groundstation.dynamics.model import THESIS, ArxAxis, Model, angle_polynomial, stacked
 from groundstation.dynamics.sensors import delay_of_model
 from groundstation.dynamics.vehicle import PWM_FULL
@@ -45,15 +54,6 @@ SEARCH_GRID = 240
 LONGEST_DELAY = 200
 
 
-@dataclass(frozen=True, slots=True)
-class DirectResponse:
-    """One axis's answer to a reference: y (k,) rad, u (k,) in (rev/s)^2."""
-
-    y: Array
-    u: Array
-    stable: bool
-
-
 def axis_plant(model: Model, axis: str, delay: int | None = None) -> ArxAxis:
     """The linear model of an axis from u' in (rev/s)^2 to its angle in rad.
 
@@ -71,11 +71,10 @@ def axis_plant(model: Model, axis: str, delay: int | None = None) -> ArxAxis:
         plant = angle_polynomial(model, axis)
         plant = msgspec.structs.replace(plant, nk=plant.nk + (1 if "arx" in model.fit else 0))
     elif model.body is not None:
-        c = (model.body.c0, model.body.c1, model.body.c2)[AXES.index(axis)]
         ts = SAMPLE_PERIOD_S
-        late = delay_of_model(model)
-        b = c * ts * ts / 2
-        plant = ArxAxis(2, 2, 1 + round(late / ts), (-2.0, 1.0), (b, b), ts)
+        b = msgspec.structs.astuple(model.body)[AXES.index(axis)] * ts * ts / 2
+        nk = 1 + round(delay_of_model(model) / ts)
+        plant = ArxAxis(2, 2, nk, (-2.0, 1.0), (b, b), ts)
     else:
         raise BadInputError(f"the model has no {axis} axis: fit a body or an ARX model of it")
     nk = plant.nk if delay is None else delay
@@ -84,29 +83,20 @@ def axis_plant(model: Model, axis: str, delay: int | None = None) -> ArxAxis:
     return ArxAxis(plant.na, plant.nb, nk, plant.a, plant.b, plant.ts)
 
 
-def run_direct(plant: ArxAxis, gains: PidGains, reference: ArrayLike) -> DirectResponse:
-    """Close the loop around an axis and follow a reference (k,) in rad."""
+def run_direct(plant: ArxAxis, gains: PidGains, reference: ArrayLike) -> Array:
+    """The angle (k,) in rad of an axis that follows a reference (k,) in rad in the closed loop."""
     from groundstation.control.kernels import direct_run
 
     wanted = np.ascontiguousarray(reference, np.float64)
     y, u = np.empty_like(wanted), np.empty_like(wanted)
-    direct_run(
-        np.array(plant.a),
-        np.array(plant.b),
-        plant.nk,
-        np.array(gains.as_tuple()),
-        plant.ts,
-        wanted,
-        y,
-        u,
-    )
-    return DirectResponse(y, u, is_stable(plant, gains))
+    a, b, pid = np.array(plant.a), np.array(plant.b), np.array(gains.as_tuple())
+    direct_run(a, b, plant.nk, pid, plant.ts, wanted, y, u)
+    return y
 
 
-def step_direct(plant: ArxAxis, gains: PidGains, seconds: float = 1.0) -> StepMetrics:
-    """Metrics of the unit step over a window."""
-    response = run_direct(plant, gains, np.ones(round(seconds / plant.ts)))
-    return step_metrics(response.y, plant.ts)
+def step_direct(plant: ArxAxis, gains: PidGains, seconds: float = 1.0) -> Array:
+    """The answer to a unit step over a window."""
+    return run_direct(plant, gains, np.ones(round(seconds / plant.ts)))
 
 
 def is_stable(plant: ArxAxis, gains: PidGains, delay: int | None = None) -> bool:
@@ -115,15 +105,8 @@ def is_stable(plant: ArxAxis, gains: PidGains, delay: int | None = None) -> bool
 
     nk = plant.nk if delay is None else delay
     polynomial = np.empty(nk + plant.na + plant.nb + 4)
-    size = characteristic(
-        np.array(plant.a),
-        np.array(plant.b),
-        nk,
-        np.array(gains.as_tuple()),
-        plant.ts,
-        polynomial,
-    )
-    return bool(inside_unit_circle(polynomial, size))
+    a, b, pid = np.array(plant.a), np.array(plant.b), np.array(gains.as_tuple())
+    return bool(inside_unit_circle(polynomial, characteristic(a, b, nk, pid, plant.ts, polynomial)))
 
 
 def most_delay(plant: ArxAxis, gains: PidGains) -> int | None:
@@ -136,13 +119,8 @@ def most_delay(plant: ArxAxis, gains: PidGains) -> int | None:
     return stable
 
 
-def direct_margins(plant: ArxAxis, gains: PidGains) -> Margins:
-    """Margins of the loop broken at the plant's input; meaningful where it is stable."""
-    return direct_loop(plant, gains).margins
-
-
 def direct_loop(plant: ArxAxis, gains: PidGains) -> LoopResponse:
-    """The loop broken at the plant's input."""
+    """The loop broken at the plant's input; its margins mean something where it is stable."""
     omega = grid(plant.ts)
     z = np.exp(1j * omega * plant.ts)
     return LoopResponse(omega, frequency_response(plant, z) * controller(gains, z, plant.ts))
@@ -165,32 +143,18 @@ def frequency_response(plant: ArxAxis, z: NDArray[np.complex128]) -> NDArray[np.
     """The plant at points z of the unit circle."""
     import control
 
-    top = plant.nk + max(plant.na, plant.nb - 1)
-    numerator = np.zeros(top + 1)
+    numerator, denominator = np.zeros((2, plant.nk + max(plant.na, plant.nb - 1) + 1))
     numerator[plant.nk : plant.nk + plant.nb] = plant.b
-    denominator = np.zeros(top + 1)
     denominator[: plant.na + 1] = (1.0, *plant.a)
     system = control.tf(numerator, denominator, plant.ts)
     return np.asarray(system(z), np.complex128)
 
 
 class DirectJudge:
-    """Judges many gains at once on a plant.
-
-    Columns of the result: see ``COLUMNS``. What is unstable, or would be with ``spare_s`` more
-    delay, is infinite throughout.
+    """Judges many gains at once on a plant: RMS error, overshoot (%), settling (s), steady-state
+    error, maximum sensitivity, effort, and how far a push moves the craft, which is not judged on
+    this loop: zero. What is unstable, or would be with ``spare_s`` more delay, is infinite.
     """
-
-    COLUMNS = (
-        "rms",
-        "overshoot_pct",
-        "settling_s",
-        "steady_state_error",
-        "sensitivity",
-        "effort",
-        "compliance",
-    )
-    """The last, how far a push moves the craft, is not judged on this loop: zero."""
 
     def __init__(self, plant: ArxAxis, seconds: float, spare_s: float = 0.0) -> None:
         self._plant = plant
@@ -199,11 +163,11 @@ class DirectJudge:
         self._z = np.exp(1j * grid(plant.ts, SEARCH_GRID) * plant.ts)
         self._response = frequency_response(plant, self._z)
 
-    def __call__(self, candidates: Array) -> Array:
-        """Gains (m, 3) kp, ki, kd to judgements (m, 7)."""
+    def __call__(self, candidates: Array, worth: Worth = all_worth) -> Array:
+        """Gains (m, 3) kp, ki, kd to judgements (m, 7): of all, for they cost next to nothing."""
         from groundstation.control.kernels import judge_many
 
-        plant, found = self._plant, np.zeros((len(candidates), len(self.COLUMNS)))
+        plant, found = self._plant, np.zeros((len(candidates), 7))
         judge_many(
             np.array(plant.a),
             np.array(plant.b),
@@ -228,50 +192,24 @@ class DirectJudge:
 
 
 GAINS: dict[str, dict[str, PidGains]] = {
-    "P": {
-        "roll": PidGains(149000.0),
-        "pitch": PidGains(149000.0),
-        "yaw": PidGains(44100.0),
-    },
-    "PI": {
-        "roll": PidGains(226000.0, 166000.0),
-        "pitch": PidGains(226000.0, 166000.0),
-        "yaw": PidGains(79500.0, 6980.0),
-    },
-    "PD": {
-        "roll": PidGains(1530000.0, 0.0, 10200.0),
-        "pitch": PidGains(1530000.0, 0.0, 10200.0),
-        "yaw": PidGains(121000.0, 0.0, 35900.0),
-    },
-    "PID": {
-        "roll": PidGains(1050000.0, 1930000.0, 3760.0),
-        "pitch": PidGains(1050000.0, 1930000.0, 3760.0),
-        "yaw": PidGains(30500.0, 1560.0, 3730.0),
-    },
+    name: {"roll": PidGains(*tilt), "pitch": PidGains(*tilt), "yaw": PidGains(*yaw)}
+    for name, tilt, yaw in (
+        ("P", (149000.0,), (44100.0,)),
+        ("PI", (226000.0, 166000.0), (79500.0, 6980.0)),
+        ("PD", (1530000.0, 0.0, 10200.0), (121000.0, 0.0, 35900.0)),
+        ("PID", (1050000.0, 1930000.0, 3760.0), (30500.0, 1560.0, 3730.0)),
+    )
 }
 """Controller -> axis -> gains on u' in (rev/s)^2."""
 
 RESULTS: dict[str, dict[str, tuple[float, float, float]]] = {
-    "P": {
-        "roll": (0.5648, 50.0, 0.3),
-        "pitch": (0.5648, 50.0, 0.3),
-        "yaw": (0.3131, 40.0, 2.0),
-    },
-    "PI": {
-        "roll": (0.3292, 100.0, 0.4),
-        "pitch": (0.3292, 100.0, 0.4),
-        "yaw": (0.2987, 60.0, 2.5),
-    },
-    "PD": {
-        "roll": (0.1506, 40.0, 0.1),
-        "pitch": (0.1506, 40.0, 0.1),
-        "yaw": (0.1340, 1.0, 0.3),
-    },
-    "PID": {
-        "roll": (0.1769, 70.0, 0.2),
-        "pitch": (0.1769, 70.0, 0.2),
-        "yaw": (0.2736, 5.0, 1.5),
-    },
+    name: {"roll": tilt, "pitch": tilt, "yaw": yaw}
+    for name, tilt, yaw in (
+        ("P", (0.5648, 50.0, 0.3), (0.3131, 40.0, 2.0)),
+        ("PI", (0.3292, 100.0, 0.4), (0.2987, 60.0, 2.5)),
+        ("PD", (0.1506, 40.0, 0.1), (0.1340, 1.0, 0.3)),
+        ("PID", (0.1769, 70.0, 0.2), (0.2736, 5.0, 1.5)),
+    )
 }
 """Controller -> axis -> printed RMS error, overshoot in percent, settling time in s."""
 
@@ -297,50 +235,27 @@ FINDING = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PrintedCase:
-    """One printed controller at one delay in samples, on one axis or within its rounding
-    (``ROUNDED_ROLL``, ``ROUNDED_YAW``)."""
-
-    controller: str
-    axis: str
-    delay: int
-    metrics: StepMetrics
-    stable: bool
-    most_delay: int | None
-    printed: tuple[float, float, float]
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "axis": self.axis,
-            "controller": self.controller,
-            "delay_samples": self.delay,
-            "stable": self.stable,
-            "most_delay_samples": self.most_delay,
-            **self.metrics.as_dict(),
-            "printed": dict(zip(("rms", "overshoot_pct", "settling_s"), self.printed, strict=True)),
-        }
-
-
-def printed_cases(delays: tuple[int, ...] = DELAYS, model: Model = THESIS) -> list[PrintedCase]:
+def printed_cases(delays: tuple[int, ...] = DELAYS, model: Model = THESIS) -> list[dict[str, Any]]:
     """Every printed controller on the printed models, and on roll and yaw as the rounding of their
-    digits allows, at each delay."""
+    digits allows, at each delay (samples), beside what is printed."""
     cases = []
     for label in (*AXES, ROUNDED_ROLL, ROUNDED_YAW):
         axis = label.split(",")[0]
-        for name, gains in GAINS.items():
+        for name in GAINS:
+            gains, keys = GAINS[name][axis], ("rms", "overshoot_pct", "settling_s")
             for delay in delays:
                 plant = printed_plant(label, delay, model)
+                step = step_metrics(step_direct(plant, gains, window_s(label)), plant.ts)
                 cases.append(
-                    PrintedCase(
-                        name,
-                        label,
-                        delay,
-                        step_direct(plant, gains[axis], window_s(label)),
-                        is_stable(plant, gains[axis]),
-                        most_delay(plant, gains[axis]),
-                        RESULTS[name][axis],
-                    )
+                    {
+                        "axis": label,
+                        "controller": name,
+                        "delay_samples": delay,
+                        "stable": is_stable(plant, gains),
+                        "most_delay_samples": most_delay(plant, gains),
+                        **step.as_dict(),
+                        "printed": dict(zip(keys, RESULTS[name][axis], strict=True)),
+                    }
                 )
     return cases
 
@@ -360,7 +275,7 @@ def printed_plant(label: str, delay: int, model: Model = THESIS) -> ArxAxis:
 
 
 if __name__ == "__main__":
-    print(json.dumps([case.as_dict() for case in printed_cases()], indent=2))
+    print(json.dumps(printed_cases(), indent=2))
 
 
 # The thesis's whole simulation (Figure 8.10): its controllers with everything between them and
@@ -417,7 +332,6 @@ def run_whole(
     # new arrays: numba compiles the kernel anew, half a minute, for one that is read-only
     supply = np.full(rows, supply_mv, np.float64)
     lift = np.array(plant.hover_duty(supply) * PWM_FULL)
-    own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S)
     angles, controls, pwm = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
     whole_run(
         plant.craft[0],
@@ -432,7 +346,7 @@ def run_whole(
         supply,
         wanted,
         SAMPLE_PERIOD_S,
-        own if delay is None else delay,
+        _late(plant, delay),
         angles,
         controls,
         pwm,
@@ -440,14 +354,25 @@ def run_whole(
     return WholeResponse(angles, controls, pwm)
 
 
+def _late(plant: Plant, delay: int | None) -> int:
+    """Samples of measurement delay: ``delay``, or the model's own."""
+    return round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S) if delay is None else delay
+
+
 def counts_per_control(model: Model, supply_mv: float = SUPPLY_MV) -> Array:
     """PWM counts that change u' by 1 (rev/s)^2 at hover once the motors have settled, (3,).
 
     Turns gains of the direct loop into gains of the whole simulation.
     """
-    plant, motor = motors_and_body(model), model.motor
-    slope = motor.a0 * supply_mv / PWM_FULL / (motor.a1 + 2 * motor.a2 * plant.hover_rev_s)
-    return 1.0 / (2 * plant.hover_rev_s * slope * np.array([2.0, 2.0, 4.0]))
+    hover, pole = hover_and_pole(model)
+    slope = model.motor.a0 * supply_mv / PWM_FULL / pole
+    return 1.0 / (2 * hover * slope * np.array([2.0, 2.0, 4.0]))
+
+
+def hover_and_pole(model: Model) -> tuple[float, float]:
+    """Rotor speed that carries the craft (rev/s), and the motors' pole around it (1/s)."""
+    hover, motor = motors_and_body(model).hover_rev_s, model.motor
+    return hover, motor.a1 + 2 * motor.a2 * hover
 
 
 def whole_loop(
@@ -458,39 +383,26 @@ def whole_loop(
     supply_mv: float = SUPPLY_MV,
 ) -> LoopResponse:
     """One axis, linear around hover and broken at the controller's output; its margins mean
-    something where it is stable."""
-    omega = grid(SAMPLE_PERIOD_S)
-    z = np.exp(1j * omega * SAMPLE_PERIOD_S)
-    driven = counts_response(model, axis, omega, delay, supply_mv)
-    return LoopResponse(omega, driven * controller(gains, z, SAMPLE_PERIOD_S))
-
-
-def counts_response(
-    model: Model,
-    axis: str,
-    omega: Array,
-    delay: int | None = None,
-    supply_mv: float = SUPPLY_MV,
-) -> NDArray[np.complex128]:
-    """Angle in rad per PWM count of an axis around hover, motors included, at omega (n,) rad/s.
+    something where it is stable.
 
     The rigid body with its model's damping and rotor torques; of polynomials, the settled motors'
     slope and their lag before them.
     """
-    model = _of_the_loop(model)
+    omega = grid(SAMPLE_PERIOD_S)
+    z = np.exp(1j * omega * SAMPLE_PERIOD_S)
+    s, model = 1j * omega, _of_the_loop(model)
     if model.arx is None:
         # its controller's output is PWM
         plant = replace(motors_and_body(model), firmware=RELEASE_2014)
-        own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S) if delay is None else delay
-        s = 1j * omega
-        late = hold_response(s, SAMPLE_PERIOD_S) * np.exp(-own * SAMPLE_PERIOD_S * s)
-        rate = rate_per_pwm(plant, AXES.index(axis), s, supply_mv)
-        return FULL / PWM_FULL * rate / s * late
-    polynomials = axis_plant(model, axis, delay)
-    pole = model.motor.a1 + 2 * model.motor.a2 * motors_and_body(model).hover_rev_s
-    counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
-    motor = pole / (1j * omega + pole) / counts
-    return frequency_response(polynomials, np.exp(1j * omega * polynomials.ts)) * motor
+        late = np.exp(-_late(plant, delay) * SAMPLE_PERIOD_S * s)
+        index = AXES.index(axis)
+        rate = rate_per_pwm(plant, plant.slopes(index), index, s, supply_mv)
+        angle = FULL / PWM_FULL * rate / s * (hold_response(s, SAMPLE_PERIOD_S) * late)
+    else:
+        polynomials, (_, pole) = axis_plant(model, axis, delay), hover_and_pole(model)
+        motor = pole / (s + pole) / counts_per_control(model, supply_mv)[AXES.index(axis)]
+        angle = frequency_response(polynomials, np.exp(s * polynomials.ts)) * motor
+    return LoopResponse(omega, angle * controller(gains, z, SAMPLE_PERIOD_S))
 
 
 def motors_and_body(model: Model) -> Plant:
@@ -619,32 +531,31 @@ STILL = 0.1
 """A response that swings by less than this share of the step at its end is calm."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class AxisResult:
     """One axis. response: (k,) over the step, one row per 2 ms. step: in rad, yaw of the
-    firmware in rad/s. margins: None where the loop is unstable. most_delay: samples up to which
-    it is stable, only on the direct loop. loop: its frequency response, stable or not."""
+    firmware in rad/s. loop: its frequency response, stable or not. most_delay: samples up to
+    which it is stable, only on the direct loop."""
 
     axis: str
     gains: dict[str, float]
     step: float
     metrics: StepMetrics
     stable: bool
-    margins: Margins | None
     response: Array
     loop: LoopResponse
     most_delay: int | None = None
 
+    @cached_property
+    def margins(self) -> Margins | None:
+        """None where the loop is unstable."""
+        return self.loop.margins if self.stable else None
+
     def as_dict(self) -> dict[str, Any]:
         """The design's keys for ``pid evaluate --json``, and more."""
-        margins = self.margins.as_dict() if self.margins is not None else {}
         return {
             **self.metrics.as_dict(),
-            "max_sensitivity": margins.get("max_sensitivity"),
-            "delay_margin_s": margins.get("delay_s"),
-            "gain_up": margins.get("gain_up"),
-            "gain_down": margins.get("gain_down"),
-            "phase_margin_deg": margins.get("phase_deg"),
+            **(dict.fromkeys(MARGINS) if self.margins is None else self.margins.as_dict()),
             "stable": self.stable,
             "most_delay_samples": self.most_delay,
             "step": self.step,
@@ -682,71 +593,57 @@ def evaluate(
         raise BadInputError(f"--loop {loop} needs gains by axis, [roll] kp = ...")
     if loop == "direct":
         return [_direct(model, g, axis, seconds, delay) for axis, g in by_axis.items()]
-    return _whole(model, by_axis, seconds, delay)
+    return [_whole(model, by_axis, axis, seconds, delay) for axis in by_axis]
 
 
 def _direct(
     model: Model, gains: PidGains, axis: str, seconds: float, delay: int | None
 ) -> AxisResult:
     plant = axis_plant(model, axis, delay)
-    with np.errstate(over="ignore", invalid="ignore"):
-        y = run_direct(plant, gains, np.ones(round(seconds / plant.ts))).y
-    stable, loop = is_stable(plant, gains), direct_loop(plant, gains)
+    y = step_direct(plant, gains, seconds)
     return AxisResult(
         axis,
-        dict(zip(("kp", "ki", "kd"), gains.as_tuple(), strict=True)),
+        msgspec.structs.asdict(gains),
         1.0,
         step_metrics(y, plant.ts),
-        stable,
-        loop.margins if stable else None,
+        is_stable(plant, gains),
         y,
-        loop,
+        direct_loop(plant, gains),
         most_delay(plant, gains),
     )
 
 
 def _whole(
-    model: Model, gains: Mapping[str, PidGains], seconds: float, delay: int | None
-) -> list[AxisResult]:
-    found = []
-    for axis, one in gains.items():
-        index = AXES.index(axis)
-        reference = np.zeros((round(max(seconds, STEADY_S) / SAMPLE_PERIOD_S), 3))
-        reference[:, index] = WHOLE_STEP_RAD
-        others = [gains.get(name, PidGains(0.0)) for name in AXES]
-        long = run_whole(model, others, reference, delay=delay).angles[:, index]
-        y = long[: round(seconds / SAMPLE_PERIOD_S)]
-        stable = calms(long / WHOLE_STEP_RAD)
-        loop = whole_loop(model, one, axis, delay)
-        found.append(
-            AxisResult(
-                axis,
-                dict(zip(("kp", "ki", "kd"), one.as_tuple(), strict=True)),
-                WHOLE_STEP_RAD,
-                step_metrics(y, SAMPLE_PERIOD_S, WHOLE_STEP_RAD),
-                stable,
-                loop.margins if stable else None,
-                y / WHOLE_STEP_RAD,
-                loop,
-            )
-        )
-    return found
+    model: Model, gains: Mapping[str, PidGains], axis: str, seconds: float, delay: int | None
+) -> AxisResult:
+    index = AXES.index(axis)
+    reference = np.zeros((round(max(seconds, STEADY_S) / SAMPLE_PERIOD_S), 3))
+    reference[:, index] = WHOLE_STEP_RAD
+    every = [gains.get(name, PidGains(0.0)) for name in AXES]
+    long = run_whole(model, every, reference, delay=delay).angles[:, index]
+    y = long[: round(seconds / SAMPLE_PERIOD_S)]
+    return AxisResult(
+        axis,
+        msgspec.structs.asdict(gains[axis]),
+        WHOLE_STEP_RAD,
+        step_metrics(y, SAMPLE_PERIOD_S, WHOLE_STEP_RAD),
+        calms(long / WHOLE_STEP_RAD),
+        y / WHOLE_STEP_RAD,
+        whole_loop(model, gains[axis], axis, delay),
+    )
 
 
 def _firmware(plant: Plant, gains: Mapping[str, float], axis: str, seconds: float) -> AxisResult:
     step = STEP_RAD[axis]
     y = step_response(plant, gains, axis, seconds)
-    loop = cascade_loop(plant, gains, axis)
-    stable = calms(step_response(plant, gains, axis, max(seconds, STEADY_S)))
     return AxisResult(
         axis,
         {n: gains.get(n, plant.firmware.stock[n]) for n in plant.firmware.gain_names(axis)},
         step,
         step_metrics(y * step, SAMPLE_PERIOD_S, step),
-        stable,
-        loop.margins if stable else None,
+        calms(step_response(plant, gains, axis, max(seconds, STEADY_S))),
         y,
-        loop,
+        cascade_loop(plant, gains, axis),
     )
 
 
@@ -771,10 +668,7 @@ MORE = 2.0
 def most_control(model: Model, axis: str, supply_mv: float = SUPPLY_MV) -> float:
     """The largest u' in (rev/s)^2 that the rotors give around hover with the thrust kept."""
     plant = motors_and_body(model)
-    hover, motor = plant.hover_rev_s, model.motor
-    # a0 u = a1 n + a2 n^2 at rest (thesis eq. 3.82)
-    root = math.sqrt(motor.a1**2 + 4 * motor.a2 * motor.a0 * supply_mv)
-    full = 2 * motor.a0 * supply_mv / (motor.a1 + root)
+    hover, full = plant.hover_rev_s, model.motor.steady_rev_s(supply_mv)
     either_way = min(full**2 - hover**2, hover**2)
     return float(np.abs(plant.mixer[AXES.index(axis)]).sum() * max(either_way, 0.0))
 
@@ -799,17 +693,17 @@ def reason_not_followed(
     flown = run_whole(model, three, reference, delay=delay, supply_mv=supply_mv)
     behind = flown.angles[:, index] / WHOLE_STEP_RAD
     plant = axis_plant(model, axis, delay)
-    free = run_direct(plant, gains, np.ones(round(STEADY_S / plant.ts)))
+    free = step_direct(plant, gains, STEADY_S)
     missed, promised = (
         float(np.sqrt(np.mean((1.0 - y[: round(JUDGED_S / period_s)]) ** 2)))
-        for y, period_s in ((behind, SAMPLE_PERIOD_S), (free.y, plant.ts))
+        for y, period_s in ((behind, SAMPLE_PERIOD_S), (free, plant.ts))
     )
     calm = calms(behind)
     if calm and missed <= MORE * promised:
         return ""
     asked = (gains.kp + gains.kd / SAMPLE_PERIOD_S) * WHOLE_STEP_RAD  # in the step's first row
     most = most_control(model, axis, supply_mv)
-    lag = 1.0 / (model.motor.a1 + 2 * model.motor.a2 * motors_and_body(model).hover_rev_s)
+    lag = 1.0 / hover_and_pole(model)[1]
     return (
         f"{axis}: kp {gains.kp:.3g}, kd {gains.kd:.3g} ask u' = {asked:.2g} (rev/s)^2 for a step of"
         f" {WHOLE_STEP_RAD:g} rad; the rotors give {most:.2g} around hover and follow with a lag of"

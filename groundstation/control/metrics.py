@@ -32,8 +32,19 @@ class Margins:
     crossover_rad_s: float
 
     def as_dict(self) -> dict[str, float | None]:
-        """For JSON: what is infinite becomes None."""
-        return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
+        """The keys of ``MARGINS``, for JSON: what is infinite becomes None."""
+        found = {key: getattr(self, name) for key, name in MARGINS.items()}
+        return {key: v if math.isfinite(v) else None for key, v in found.items()}
+
+
+MARGINS = {
+    "max_sensitivity": "max_sensitivity",
+    "delay_margin_s": "delay_s",
+    "gain_up": "gain_up",
+    "gain_down": "gain_down",
+    "phase_margin_deg": "phase_deg",
+}
+"""Margins as ``pid --json`` tells them, by key."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +123,8 @@ class StepMetrics:
 
     def as_dict(self) -> dict[str, float | None]:
         """The keys of the design's ``pid evaluate --json``; what is not finite becomes None."""
-        numbers = {
-            "rms": self.rms,
-            "overshoot_pct": self.overshoot_pct,
-            "settling_s": self.settling_s,
-            "steady_state_error": self.steady_state_error,
-        }
-        return {k: v if v is not None and math.isfinite(v) else None for k, v in numbers.items()}
+        numbers = asdict(self).items()
+        return {k: v if v is not None and math.isfinite(v) else None for k, v in numbers}
 
 
 def step_metrics(response: ArrayLike, period_s: float, step: float = 1.0) -> StepMetrics:

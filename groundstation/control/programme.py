@@ -29,9 +29,13 @@ HEIGHT_OFF_M, HEIGHT_OFF_S = 0.3, 1.0
 THRUST_RATIO, THRUST_S = 1.5, 0.5
 """Of the thrust that hovers: a step of height asks for more for 0.2 s, a height that stands still
 for ever."""
-APART_M, APART_S, GAP_S = 0.15, 1.0, 0.2
+APART_M, APART_S, GAP_S = 0.15, 1.0, 0.4
 """A height that has changed in so long by so much more or less than the climb rate says is not that
-of the craft: its sensor sticks. The two agree within 0.02 m in flight; not across a gap."""
+of the craft: its sensor sticks. The two agree within 0.02 m in flight; across a longer gap nobody
+knows, for a craft that begins to climb at 0.6 m/s in it is 0.12 m higher than both ends say."""
+BLIND_S = 3.0
+"""A craft of which no ``APART_S`` in one piece has come in so long is landed: its height may be
+wrong, and nothing would tell."""
 LIFT_S, LIFT_M = 2.0, 0.1
 """A craft that is not so high so long after it was asked to climb stays on the ground, or nothing
 measures its height."""
@@ -48,7 +52,8 @@ class Seen:
     """What a craft says. time_s: by its own clock, which a host that is held up does not change.
     x_m, y_m, vx_m_s, vy_m_s, climb_m_s: in the world of its estimator; NaN where it does not know
     its place. height_m: NaN where it is not sure. heading_rad: counter-clockwise. thrust: mean over
-    the motors of (duty x V)^2, which thrust grows with. age_s: of the place."""
+    the motors of (duty x V)^2, which thrust grows with. age_s: of the place. place_s: when it said
+    where it is, by its own clock: a host that is held up hears of it later than of the rest."""
 
     time_s: float
     x_m: float
@@ -62,6 +67,7 @@ class Seen:
     pitch_deg: float
     thrust: float
     age_s: float
+    place_s: float
 
     @classmethod
     def of(cls, answer: Mapping[str, Any]) -> Self:
@@ -70,8 +76,9 @@ class Seen:
         duties = [_number(motor) for motor in said["motors"]]
         volts = said["battery_v"]
         volts = volts if volts is not None and math.isfinite(volts) else 1.0
+        time_s, place_s = TICK_S * said["timestamp"], place.get("at_s")
         return cls(
-            time_s=TICK_S * said["timestamp"],
+            time_s=time_s,
             x_m=_number(place.get("x_m")),
             y_m=_number(place.get("y_m")),
             vx_m_s=_number(place.get("vx_m_s")),
@@ -83,6 +90,7 @@ class Seen:
             pitch_deg=_number(said["pitch_deg"]),
             thrust=sum((duty * volts) ** 2 for duty in duties) / len(duties),
             age_s=_number(place.get("age_s", math.inf)),
+            place_s=time_s if place_s is None else float(place_s),
         )
 
     @property
@@ -129,8 +137,10 @@ class FlightWatch:
         self._begun_s = begun_s
         self._height_off, self._thrust_high = _Lasts(HEIGHT_OFF_S), _Lasts(THRUST_S)
         self._lifted = False
-        self._climbed_m, self._last_s = 0.0, begun_s
+        self._climbed_m, self._last_s = 0.0, math.nan
+        self._climb_m_s = 0.0
         self._aparts: deque[tuple[float, float]] = deque()
+        self._unwatched = _Lasts(BLIND_S)
 
     def reason(self, seen: Seen, asked_m: float) -> str:
         """Why it must land now, or empty. asked_m: the height that it is asked for."""
@@ -152,6 +162,8 @@ class FlightWatch:
             return f"height: {height} for {HEIGHT_OFF_S:g} s, {asked_m:.2f} m was requested"
         if self._apart_m(seen) > APART_M:
             return f"{BLIND}: it says {height}, which the climb rate contradicts"
+        if self._unwatched.lasts(now_s, self._is_unwatched(seen)):
+            return f"height: {height}, and for {BLIND_S:g} s its places came too seldom to check it"
         ratio = seen.thrust / self.hover_thrust
         if self._thrust_high.lasts(now_s, ratio > THRUST_RATIO):
             return f"thrust: {ratio:.1f} times that of hover, the limit is {THRUST_RATIO:g} times"
@@ -161,15 +173,23 @@ class FlightWatch:
         """How much height and climb rate have disagreed about in the last ``APART_S``."""
         if math.isnan(seen.climb_m_s):
             return 0.0
-        passed_s, self._last_s = seen.time_s - self._last_s, seen.time_s
+        passed_s, self._last_s = seen.place_s - self._last_s, seen.place_s
         kept = self._aparts
-        if not 0.0 <= passed_s <= GAP_S:
+        if 0.0 <= passed_s <= GAP_S:
+            self._climbed_m += passed_s * 0.5 * (self._climb_m_s + seen.climb_m_s)
+        else:
             kept.clear()
-        self._climbed_m += passed_s * seen.climb_m_s
-        kept.append((seen.time_s, seen.height_m - self._climbed_m))
-        while seen.time_s - kept[0][0] > APART_S:
+        self._climb_m_s = seen.climb_m_s
+        kept.append((seen.place_s, seen.height_m - self._climbed_m))
+        while seen.place_s - kept[0][0] > APART_S:
             kept.popleft()
         return max(apart for _, apart in kept) - min(apart for _, apart in kept)
+
+    def _is_unwatched(self, seen: Seen) -> bool:
+        """Whether height and climb rate are known for less than ``APART_S`` in one piece."""
+        if math.isnan(seen.climb_m_s):
+            return False
+        return self._aparts[-1][0] - self._aparts[0][0] < APART_S - GAP_S
 
 
 class _Lasts:
@@ -288,10 +308,12 @@ class Standing:
 def trouble_of(answer: Mapping[str, Any]) -> str:
     """Why a craft does not stand still, level, on the floor and ready to fly, or empty. answer: the
     daemon's to a setpoint; a height of None is not known, and any angle that is missing is a
-    reason."""
+    reason, as telemetry is that may be of another moment."""
     said, height_m = answer["telemetry"], answer.get("height_m")
     if answer.get("hindrance"):
         return str(answer["hindrance"])
+    if said is None or not said["age_s"] <= AbortLimits().silent_s:
+        return "it says nothing: no telemetry is coming in"
     turns = largest(said["gyro_dps"])
     if not turns <= STILL_DPS:
         return f"it moves ({turns:.0f} deg/s, {STILL_DPS:g} is the most): put it on the floor"
@@ -365,9 +387,10 @@ class Programme:
         """The whole programme of a craft whose place nothing holds, every 10 ms, (k, 3)."""
         settle, rest = (np.zeros((round(s * RATE_HZ), 3)) for s in (SETTLE_S, self.rest_s))
         if self.shape == "level":
-            rests = [rest] * (len(self.axes) * self.repeats)
-            return np.vstack([settle, *rests, settle])
-        return np.vstack([settle, *(t for _, table in self.parts() for t in (table, rest)), settle])
+            flown = [rest] * (len(self.axes) * self.repeats)
+        else:
+            flown = [t for _, table in self.parts() for t in (table, rest)]
+        return np.vstack([settle, *flown, settle])
 
     @property
     def seconds(self) -> float:
@@ -452,9 +475,7 @@ def require_flyable(programme: Programme) -> None:
         ("--rest", programme.rest_s, 0.2, 10.0, "s"),
         ("--repeat", programme.repeats, 1, 50, "times"),
     )
-    for name, value, low, high, unit in limits:
-        if not low <= value <= high:
-            raise BadInputError(f"{name} {value:g}: must be {low:g}..{high:g} {unit}")
+    _require_within(limits)
     if programme.shape not in SHAPES:
         raise BadInputError(f"--programme {programme.shape}: there are {', '.join(SHAPES)}")
     for axis in programme.axes:
@@ -462,9 +483,17 @@ def require_flyable(programme: Programme) -> None:
             raise BadInputError(f"--axis {axis}: there are {', '.join(AXES)}")
 
 
+def _require_within(limits: Iterable[tuple[str, float, float, float, str]]) -> None:
+    """limits: option, its value, the least, the most, unit."""
+    for name, value, low, high, unit in limits:
+        if not low <= value <= high:
+            raise BadInputError(f"{name} {value:g}: must be {low:g}..{high:g} {unit}")
+
+
 @dataclass(frozen=True, slots=True)
 class AbortLimits:
-    """Beyond any of these the motors are stopped.
+    """Beyond any of these a flight ends: in a landing where the craft can still land
+    (``flying.fly_by_height``), or its motors are stopped.
 
     tilt_deg, rate_dps: of the telemetry. battery_v, battery_s: under load, and how long it must
     stay below without a break. silent_s: age of the newest telemetry.
@@ -608,14 +637,13 @@ def require_drivable(profile: ThrustProfile) -> None:
     """Raises BadInputError for what no motor should be driven with, saying what may be."""
     if profile.shape not in THRUST_SHAPES:
         raise BadInputError(f"--profile {profile.shape}: there are {', '.join(THRUST_SHAPES)}")
-    for name, value, low, high, unit in (
+    limits = (
         ("--low", profile.low, LEAST, MOST, "of full thrust"),
         ("--high", profile.high, LEAST, MOST, "of full thrust"),
         ("--hold", profile.hold_s, 0.1, 10.0, "s"),
         ("--seconds", profile.seconds, 4.0, 180.0, "s"),
-    ):
-        if not low <= value <= high:
-            raise BadInputError(f"{name} {value:g}: must be {low:g}..{high:g} {unit}")
+    )
+    _require_within(limits)
     if not profile.high - profile.low >= 0.1:
         raise BadInputError(
             f"--low {profile.low:g}, --high {profile.high:g}: 0.1 apart at least, or the motor"

@@ -6,10 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from groundstation.control.design import (
     COMPLIANCE,
+    CRITERION,
     DESIGN_BAND,
     OFFSET,
     OVERSHOOT,
@@ -21,6 +23,7 @@ from groundstation.control.design import (
     Design,
     Limits,
     Robustness,
+    comparable,
     estimates_of,
     gain_meaning,
     reasons,
@@ -53,6 +56,7 @@ from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Bode, Nyquist and sensitivity of loops; what they show is computed by python-control.
@@ -214,9 +218,8 @@ LOOP_NAMES = {
 
 def metrics_row(one: AxisResult) -> list[Any]:
     """A row under ``METRICS_HEAD``."""
-    margins = one.margins
-    settling = one.metrics.settling_s
-    if not one.stable:
+    margins, settling = one.margins, one.metrics.settling_s
+    if margins is None:
         return [one.axis, "unstable", "", "", "", "", "", ""]
     return [
         one.axis,
@@ -224,28 +227,38 @@ def metrics_row(one: AxisResult) -> list[Any]:
         f"{one.metrics.overshoot_pct:.1f}",
         "not settled" if settling is None else f"{settling:.3f}",
         f"{one.metrics.steady_state_error / one.step:.3f}",
-        "" if margins is None else f"{margins.max_sensitivity:.2f}",
-        "" if margins is None else f"{margins.gain_up:.1f}",
-        "" if margins is None else f"{1e3 * margins.delay_s:.1f}",
+        f"{margins.max_sensitivity:.2f}",
+        f"{margins.gain_up:.1f}",
+        f"{1e3 * margins.delay_s:.1f}",
     ]
 
 
 def step_figure(results: Sequence[AxisResult], others: Sequence[AxisResult] = ()) -> Figure:
     """One panel an axis; ``others`` in grey behind, the stock gains say."""
-    made, panels = figure(rows=1, columns=len(results), height=3.0, sharey=True)
+    made, panels = _step_panels([one.axis for one in results])
     for panel, one in zip(panels, results, strict=True):
-        time = np.arange(len(one.response)) * SAMPLE_PERIOD_S
-        panel.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.2, linewidth=0)
         for other in others:
             if other.axis == one.axis:
-                panel.plot(time[: len(other.response)], other.response, color=NEUTRAL)
-        panel.plot(time, one.response, color=IMPROVED if one.stable else BAD)
-        panel.set_title(one.axis)
-        panel.set_xlabel("s")
+                panel.plot(_seconds(other.response), other.response, color=NEUTRAL)
+        panel.plot(_seconds(one.response), one.response, color=IMPROVED if one.stable else BAD)
     shown = [float(one.response.max()) for one in (*results, *others) if one.stable]
     panels[0].set_ylim(-0.2, max(1.4, 1.05 * max(shown, default=2.0)))
-    panels[0].set_ylabel("response / step")
     return made
+
+
+def _step_panels(axes: Sequence[str]) -> tuple[Figure, list[Axes]]:
+    """A panel an axis for responses over the step, with the band in which they have settled."""
+    made, panels = figure(rows=1, columns=len(axes), height=3.0, sharey=True)
+    for panel, axis in zip(panels, axes, strict=True):
+        panel.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.2, linewidth=0)
+        panel.set_title(axis)
+        panel.set_xlabel("s")
+    panels[0].set_ylabel("response / step")
+    return made, panels
+
+
+def _seconds(response: Array) -> Array:
+    return np.asarray(np.arange(len(response)) * SAMPLE_PERIOD_S, np.float64)
 
 
 FLIGHT_HEAD = (
@@ -284,30 +297,21 @@ def flight_rows(flown: Flown) -> list[list[Any]]:
 
 
 def flight_lines(flown: Flown) -> list[str]:
-    """The table for a terminal."""
-    return [
-        *table_lines(FLIGHT_HEAD, flight_rows(flown)),
-        _effect(flown),
-    ]
-
-
-def _effect(flown: Flown) -> str:
+    """The table for a terminal, and when setpoints took effect."""
+    delay = f"{1e3 * flown.delay_s:.1f} ms after they were sent"
+    if flown.delay_s <= 0.0:
+        # the promptest packets tie host and device, so a small delay may come out below 0
+        delay = "at once, as far as the two clocks tell"
+    effect = (
+        f"setpoints took effect {delay} (middle half within {1e3 * flown.spread_s:.1f} ms),"
+        f" seen in the motors at {flown.found} of {flown.edges} edges"
+    )
     if not flown.found:
-        return (
+        effect = (
             f"no setpoint is seen in the motors (0 of {flown.edges} edges): when they took effect"
             " is not known, the moment of sending is taken for it"
         )
-    return (
-        f"setpoints took effect {_delay(flown)} (middle half within {1e3 * flown.spread_s:.1f} ms),"
-        f" seen in the motors at {flown.found} of {flown.edges} edges"
-    )
-
-
-def _delay(flown: Flown) -> str:
-    """Host and device are tied by the promptest packets, so a small delay may come out below 0."""
-    if flown.delay_s <= 0.0:
-        return "at once, as far as the two clocks tell"
-    return f"{1e3 * flown.delay_s:.1f} ms after they were sent"
+    return [*table_lines(FLIGHT_HEAD, flight_rows(flown)), effect]
 
 
 def table_lines(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
@@ -332,35 +336,30 @@ def flight_page(flown: Flown, name: str, model: str | None) -> Page:
             "bad" if apart else "good",
         )
     page.table(FLIGHT_HEAD, flight_rows(flown), DEFINITIONS)
-    page.figure(flight_figure(flown), STEPS_TEXT)
+    page.figure(
+        flight_figure(flown), "Averages over all steps of the flight, in the device's time."
+    )
     page.text(flight_lines(flown)[-1] + ".")
     return page
 
 
-STEPS_TEXT = "Averages over all steps of the flight, in the device's time."
-
-
 def flight_figure(flown: Flown) -> Figure:
     """One panel an axis: the mean step, measured and predicted."""
-    made, panels = figure(rows=1, columns=len(flown.axes), height=3.0, sharey=True)
+    made, panels = _step_panels([one.axis for one in flown.axes])
     for panel, one in zip(panels, flown.axes, strict=True):
-        time = np.arange(len(one.response)) * SAMPLE_PERIOD_S
-        panel.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.2, linewidth=0)
+        time = _seconds(one.response)
         panel.plot(time, one.response, color=MEASURED, label=f"measured, {one.edges} steps")
         if one.predicted_response is not None:
             # dashed: the better the prediction, the less of what was measured would be seen
             panel.plot(time, one.predicted_response, "--", color=IMPROVED, label="predicted")
-        panel.set_title(one.axis)
-        panel.set_xlabel("s")
         panel.legend(loc="lower right")
-    panels[0].set_ylabel("response / step")
     return made
 
 
 def front_figure(
     axis: str,
     design: Design,
-    nominal: Any = None,
+    nominal: Array | None = None,
     printed: Sequence[tuple[str, float, float]] = (),
 ) -> Figure:
     """Overshoot against settling, coloured by maximum sensitivity, with what was chosen.
@@ -382,13 +381,13 @@ def front_figure(
         linewidths=0.3,
     )
     made.colorbar(shown, ax=panel, label="maximum sensitivity")
-    at = 1e3 * design.judgement[SETTLING], design.judgement[OVERSHOOT]
-    panel.plot(*at, "D", color=MODELLED, label="chosen")
-    if nominal is not None:
-        at = 1e3 * nominal[SETTLING], nominal[OVERSHOOT]
-        panel.plot(
-            *at, "D", color=MODELLED, fillstyle="none", label="chosen, on the fitted model itself"
-        )
+    for judged, fill, name in (
+        (design.judgement, "full", "chosen"),
+        (nominal, "none", "chosen, on the fitted model itself"),
+    ):
+        if judged is not None:
+            at = 1e3 * judged[SETTLING], judged[OVERSHOOT]
+            panel.plot(*at, "D", color=MODELLED, fillstyle=fill, label=name)
     for name, overshoot, settling in printed:
         panel.plot(1e3 * settling, overshoot, "x", color=BAD)
         panel.annotate(f"printed {name}", (1e3 * settling, overshoot), fontsize=8)
@@ -405,7 +404,6 @@ def front_figure(
 Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200
 """Points of the front that a report carries."""
-DIRECT = ("kp", "ki", "kd")
 PURPOSES = {
     "kp": "holds the unstable pole and sets how fast the angle follows",
     "ki": "removes the steady-state error",
@@ -430,18 +428,16 @@ def firmware_report(
     limits: Limits,
 ) -> dict[str, Any]:
     """``pid design --json`` for the firmware's loops."""
-    notes = [limits_line(limits)]
+    notes = [CRITERION, limits_line(limits)]
     if release == "2.x" and model.firmware_curve is None:
         notes.insert(0, ASSUMED_CURVE)
     axes, known = {}, suitability(model)
     for one in designs:
-        entry = axis_entry(one.nominal, one.margins, one.design, tuple(one.gains))
-        entry["gains"] = one.gains
-        entry["reasons"] = list(one.reasons)
-        stock = one.stock_margins
+        stock, gains, reasons = one.stock_margins, one.gains, list(one.reasons)
+        entry = axis_entry(one.nominal, one.margins, one.design, gains, reasons)
         entry["notes"] = [
             f"stock gains: maximum sensitivity {stock.max_sensitivity:.1f},"
-            f" delay margin {1e3 * stock.delay_s:.1f} ms"
+            f" delay margin {1e3 * stock.delay_s:.1f} ms; {_beside_stock(one, limits)}"
         ]
         bears = known.get(one.axis)
         if bears is not None and bears.use != Use.DESIGN:
@@ -456,14 +452,12 @@ def firmware_report(
                 "overshoot_pct_95": _of_95_percent(table[:, OVERSHOOT]),
             }
             settling = entry["draws"]["settling_s_95"]
+            settle = "more than 5 % of them do not settle"
+            if settling is not None:
+                settle = f"95 % of them settle within {settling:.3f} s"
             entry["notes"].append(
                 f"{tried.stable[one.axis]} of {tried.drawn} models drawn from the fit's covariance"
-                " are stable; "
-                + (
-                    "more than 5 % of them do not settle"
-                    if settling is None
-                    else f"95 % of them settle within {settling:.3f} s"
-                )
+                f" are stable; {settle}"
             )
         axes[one.axis] = entry
     if not estimates_of(model):
@@ -478,6 +472,23 @@ def firmware_report(
     }
 
 
+def _beside_stock(one: AxisDesign, limits: Limits) -> str:
+    """In what gains are no worse than the stock ones, by what judged both."""
+    if one.is_stock:
+        return "they stay: nothing that was found is better on the model itself"
+    if not comparable(one.before, limits):
+        return "too little damped to set limits: a push that lasts may move the craft further"
+    said = "at their worst by what the fit is unsure of they follow and settle no worse, and a push"
+    said += " that lasts moves the craft no further"
+    if one.design.judgement[SENSITIVITY] > limits.sensitivity:
+        said += (
+            f"; no gains within a maximum sensitivity of {limits.sensitivity:g} do that: at worst"
+            f" they reach {one.design.judgement[SENSITIVITY]:.1f}, no more than the stock gains"
+            " (--sensitivity keeps to less)"
+        )
+    return said
+
+
 def _of_95_percent(values: Array) -> float | None:
     """What 95 % of the values do not exceed; None where that is no finite number."""
     ordered = np.sort(np.where(np.isfinite(values), values, np.inf))
@@ -490,11 +501,10 @@ def thesis_report(found: Found, limits: Limits, printed: bool) -> dict[str, Any]
     may stand beside."""
     axes = {}
     for axis, (gains, design, margins, plant) in found.items():
-        entry = axis_entry(design.judgement, margins, design, DIRECT)
-        entry["gains"] = dict(zip(DIRECT, gains.as_tuple(), strict=True))
+        values = msgspec.structs.asdict(gains)
+        why = list(reasons(DirectJudge(plant, 2.0), values, PURPOSES, limits))
+        entry = axis_entry(design.judgement, margins, design, values, why)
         entry["delay_samples"] = plant.nk
-        judge = DirectJudge(plant, 2.0)
-        entry["reasons"] = list(reasons(judge, entry["gains"], PURPOSES, limits))
         entry["notes"] = [
             f"at maximum sensitivity {limits.sensitivity:g} no PID on this model overshoots less"
             f" than {design.calmest:.0f} % or settles faster than {design.fastest:.3f} s"
@@ -512,7 +522,7 @@ def thesis_report(found: Found, limits: Limits, printed: bool) -> dict[str, Any]
         "printed": printed,
         "max_sensitivity": limits.sensitivity,
         "axes": axes,
-        "notes": [limits_line(limits)],
+        "notes": [CRITERION, limits_line(limits)],
     }
 
 
@@ -536,9 +546,13 @@ def firmware_page(
         for each in (gains, {})
     )
     page.verdict(*_gained(ours, stock))
+    beside: list[list[Any]] = []
+    for old, new in zip(stock, ours, strict=True):
+        beside.append([old.axis, "stock", *metrics_row(old)[1:]])
+        beside.append(["", "designed", *metrics_row(new)[1:]])
     page.table(
-        BESIDE_HEAD,
-        [row for old, new in zip(stock, ours, strict=True) for row in _beside(old, new)],
+        (METRICS_HEAD[0], "gains", *METRICS_HEAD[1:]),
+        beside,
         f"{DEFINITIONS} Maximum sensitivity: the most that pushes are amplified by. Delay margin:"
         " how much more delay makes the loop unstable.",
     )
@@ -546,10 +560,7 @@ def firmware_page(
     loops = {one.axis: one.loop for one in ours}
     add_loop_figures(page, loops, BROKEN_AT["firmware"], report["max_sensitivity"])
     page.heading("Gains and reasons")
-    page.table(
-        GAINS_HEAD,
-        [(name, value, *gain_meaning(name)) for name, value in gains.items()],
-    )
+    page.table(GAINS_HEAD, [(name, value, *gain_meaning(name)) for name, value in gains.items()])
     page.bullets([line for e in report["axes"].values() for line in e["reasons"]])
     page.heading("What the fit is unsure of")
     page.bullets([f"{axis}: {line}" for axis, e in report["axes"].items() for line in e["notes"]])
@@ -571,7 +582,16 @@ def firmware_page(
 def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
     """The design of PIDs on u' for people."""
     page = Page(f"PID on u' for {name}", LOOP_NAMES["direct"])
-    page.table(DESIGN_HEAD, [design_row(axis, e) for axis, e in report["axes"].items()])
+    page.table(
+        ("axis", *(head for head, _, _ in DESIGN_COLUMNS)),
+        [
+            (
+                axis,
+                *(None if e[key] is None else factor * e[key] for _, key, factor in DESIGN_COLUMNS),
+            )
+            for axis, e in report["axes"].items()
+        ],
+    )
     loops = {axis: direct_loop(plant, gains) for axis, (gains, _, _, plant) in found.items()}
     add_loop_figures(page, loops, BROKEN_AT["direct"], report["max_sensitivity"])
     for axis, (_, design, _, plant) in found.items():
@@ -592,47 +612,33 @@ def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
     return page
 
 
-DESIGN_HEAD = (
-    "axis",
-    "RMS of step",
-    "overshoot %",
-    "settling s",
-    "max sensitivity",
-    "gain may grow by",
-    "gain may fall to",
-    "delay margin ms",
+DESIGN_COLUMNS = (
+    ("RMS of step", "rms", 1.0),
+    ("overshoot %", "overshoot_pct", 1.0),
+    ("settling s", "settling_s", 1.0),
+    ("max sensitivity", "max_sensitivity", 1.0),
+    ("gain may grow by", "gain_up", 1.0),
+    ("gain may fall to", "gain_down", 1.0),
+    ("delay margin ms", "delay_margin_s", 1e3),
 )
-
-
-def design_row(axis: str, entry: dict[str, Any]) -> list[Any]:
-    return [
-        axis,
-        entry["rms"],
-        entry["overshoot_pct"],
-        entry["settling_s"],
-        entry["max_sensitivity"],
-        entry["gain_up"],
-        entry["gain_down"],
-        1e3 * entry["delay_margin_s"],
-    ]
+"""Heading, key of ``axis_entry``, factor."""
 
 
 def axis_entry(
-    judgement: Any, margins: Margins, design: Design, names: tuple[str, ...]
+    judgement: Array,
+    margins: Margins,
+    design: Design,
+    gains: Mapping[str, float],
+    reasons: Sequence[str],
 ) -> dict[str, Any]:
-    """names: of the gains, in the design's order."""
+    """gains: in the design's order."""
     rows = np.unique(np.linspace(0, len(design.front) - 1, FRONT_ROWS).astype(int))
-    told = margins.as_dict()
     return {
         "rms": float(judgement[RMS]),
         "overshoot_pct": float(judgement[OVERSHOOT]),
         "settling_s": float(judgement[SETTLING]),
         "steady_state_error": float(judgement[OFFSET]),
-        "max_sensitivity": told["max_sensitivity"],
-        "delay_margin_s": told["delay_s"],
-        "gain_up": told["gain_up"],
-        "gain_down": told["gain_down"],
-        "phase_margin_deg": told["phase_deg"],
+        **margins.as_dict(),
         "compliance": float(judgement[COMPLIANCE]),
         "fastest_settling_s": design.fastest,
         "smallest_overshoot_pct": design.calmest,
@@ -641,10 +647,12 @@ def axis_entry(
                 "overshoot_pct": float(row[OVERSHOOT]),
                 "settling_s": float(row[SETTLING]),
                 "max_sensitivity": float(row[SENSITIVITY]),
-                "gains": dict(zip(names, gains.tolist(), strict=True)),
+                "gains": dict(zip(gains, values.tolist(), strict=True)),
             }
-            for row, gains in zip(design.front[rows], design.front_gains[rows], strict=True)
+            for row, values in zip(design.front[rows], design.front_gains[rows], strict=True)
         ],
+        "gains": gains,
+        "reasons": reasons,
     }
 
 
@@ -659,37 +667,26 @@ def limits_line(limits: Limits) -> str:
     )
 
 
-BESIDE_HEAD = (METRICS_HEAD[0], "gains", *METRICS_HEAD[1:])
-
-
-def _beside(stock: AxisResult, ours: AxisResult) -> list[list[Any]]:
-    """Two rows under ``BESIDE_HEAD``."""
-    return [
-        [stock.axis, "stock", *metrics_row(stock)[1:]],
-        ["", "designed", *metrics_row(ours)[1:]],
-    ]
-
-
 def _gained(ours: Sequence[AxisResult], stock: Sequence[AxisResult]) -> tuple[str, str]:
     """What the design gains over the stock gains, axis by axis."""
+
+    def settled(one: AxisResult) -> str:
+        value = one.metrics.settling_s
+        return "not in the window" if value is None else f"{value:.2f} s"
+
     changes = []
     for one, old in zip(ours, stock, strict=True):
         now, was = one.margins, old.margins
         if now is None:
             return f"{one.axis} is unstable with these gains.", "bad"
         words = [
-            f"settles in {_settled(one)} (stock {_settled(old)})",
+            f"settles in {settled(one)} (stock {settled(old)})",
             f"overshoot {one.metrics.overshoot_pct:.0f} % ({old.metrics.overshoot_pct:.0f} %)",
             f"maximum sensitivity {now.max_sensitivity:.1f}"
             + (" (unstable)" if was is None else f" ({was.max_sensitivity:.1f})"),
         ]
         changes.append(f"{one.axis}: {', '.join(words)}")
     return "; ".join(changes) + ".", "good"
-
-
-def _settled(one: AxisResult) -> str:
-    value = one.metrics.settling_s
-    return "not in the window" if value is None else f"{value:.2f} s"
 
 
 def _draws(page: Page, tried: Robustness) -> None:

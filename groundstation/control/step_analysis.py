@@ -116,11 +116,6 @@ class Flown:
     edges: int
 
 
-def is_flown(entry: Mapping[str, Any]) -> bool:
-    """Whether a recording's command is a setpoint for which motors run."""
-    return entry.get("kind") == "setpoint" and (entry.get("thrust", 0) > 0 or "height_m" in entry)
-
-
 def setpoint_table(
     commands: Sequence[Mapping[str, Any]],
     client: str,
@@ -131,12 +126,15 @@ def setpoint_table(
 
     trim_deg: roll and pitch that were added to every other one, and are taken off.
     """
-    rows = [entry for entry in commands if is_flown(entry) and entry.get("client") == client]
+    rows = [
+        entry
+        for entry in commands
+        if (entry.get("kind"), entry.get("client")) == ("setpoint", client)
+        and (entry.get("thrust", 0) > 0 or "height_m" in entry)
+    ]
     times = np.array([entry["time_ns"] for entry in rows], np.int64)
-    names = ("roll_deg", "pitch_deg", "yaw_dps")
-    values = np.array([[entry[name] for name in names] for entry in rows], np.float64).reshape(
-        -1, 3
-    )
+    table = [[entry[name] for name in ("roll_deg", "pitch_deg", "yaw_dps")] for entry in rows]
+    values = np.array(table, np.float64).reshape(-1, 3)
     holds = np.array(["vx_m_s" in entry for entry in rows], bool)
     values[~holds, :2] -= trim_deg
     return times, np.radians(values)
@@ -166,22 +164,17 @@ def analyse(
     )
     if not edges:
         raise BadInputError("the setpoints of this flight never change: nothing to measure")
-    predicted = None
+    flights = [measured]
     if plant is not None:
-        predicted = _predict(grid, duty, supply, edges, plant, gains or {})
+        flights.append(_predict(grid, duty, supply, edges, plant, gains or {}))
     axes = []
     for index, axis in enumerate(AXES):
-        own = [edge for edge in edges if edge.axis == index]
-        if not own:
-            continue
-        response, step = _average(grid, measured[:, index], own)
-        flown = step_metrics(response * step, SAMPLE_PERIOD_S, step)
-        if predicted is None:
-            axes.append(FlownAxis(axis, len(own), step, flown, response))
-            continue
-        model, _ = _average(grid, predicted[:, index], own)
-        metrics = step_metrics(model * step, SAMPLE_PERIOD_S, step)
-        axes.append(FlownAxis(axis, len(own), step, flown, response, metrics, model))
+        if own := [edge for edge in edges if edge.axis == index]:
+            both: list[Any] = []  # measured, and predicted
+            for flight in flights:
+                response, step = _average(grid, flight[:, index], own)
+                both += [step_metrics(response * step, SAMPLE_PERIOD_S, step), response]
+            axes.append(FlownAxis(axis, len(own), step, *both))
     return Flown(tuple(axes), delay, spread, found, visible)
 
 
@@ -232,19 +225,16 @@ def _effective(
     """
     output = duty @ shown.T
     jumps = np.diff(output, axis=0, prepend=output[:1])
-    changes: list[tuple[int, int]] = []  # (row of setpoints, axis)
-    for axis in range(3):
-        rows = np.flatnonzero(np.diff(setpoints[:, axis]) != 0) + 1
-        changes += [(int(row), axis) for row in rows]
-    changes.sort()
+    rows, axes = np.nonzero(np.diff(setpoints, axis=0))
+    changes = list(zip((rows + 1).tolist(), axes.tolist(), strict=True))  # (row of setpoints, axis)
     around = round(AROUND_S / SAMPLE_PERIOD_S)
-    moments = np.array([sent[row] for row, _ in changes])
+    moments = sent[rows + 1]
     room = 0.5 * np.diff(moments, prepend=-np.inf, append=np.inf)
     visible, delays, clear = 0, [], []
     for (row, axis), before, after in zip(changes, room[:-1], room[1:], strict=True):
+        delays.append(math.nan)
+        clear.append(False)
         if axis >= len(shown):
-            delays.append(math.nan)
-            clear.append(False)
             continue
         sign = np.sign(setpoints[row, axis] - setpoints[row - 1, axis])
         low = np.searchsorted(grid, sent[row] + max(EARLIEST_S, -before))
@@ -253,32 +243,25 @@ def _effective(
             raise BadInputError("telemetry does not cover the whole programme")
         strongest = low + int(np.argmax(sign * jumps[low:high, axis]))
         visible += 1
-        # motors that stand still answer nothing
-        rises = sign * jumps[strongest, axis] > 0.0
-        delays.append(grid[strongest - 1] - sent[row] if rises else math.nan)
+        jump = sign * jumps[strongest, axis]
+        if jump > 0.0:  # motors that stand still answer nothing
+            delays[-1] = grid[strongest - 1] - sent[row]
         usual_jump = np.median(np.abs(jumps[max(low - around, 0) : high + around, axis]))
-        clear.append(sign * jumps[strongest, axis] > CLEAR * (1.4826 * usual_jump + 1e-9))
+        clear[-1] = bool(jump > CLEAR * (1.4826 * usual_jump + 1e-9))
     if not delays:
         return [], 0.0, 0.0, 0, 0
     usual, spread = 0.0, 0.0
-    seen = [delay for delay in delays if math.isfinite(delay)]
-    if seen:
+    if seen := [delay for delay in delays if math.isfinite(delay)]:
         usual = float(np.median(seen))
         spread = float(np.subtract(*np.percentile(seen, [75, 25])))
-    near = [
-        bool(stands_out or abs(delay - usual) <= APART_S)
-        for delay, stands_out in zip(delays, clear, strict=True)
-    ]
-    starts = [
-        sent[row] + (delay if good else usual)
-        for (row, _), delay, good in zip(changes, delays, near, strict=True)
-    ]
+    near = np.array(clear) | (np.abs(np.array(delays) - usual) <= APART_S)
+    starts = moments + np.where(near, delays, usual)
     ends = [*starts[1:], grid[-1]]
     edges = [
         Edge(axis, float(start), setpoints[row - 1, axis], setpoints[row, axis], float(end))
         for (row, axis), start, end in zip(changes, starts, ends, strict=True)
     ]
-    return edges, usual, spread, sum(near), visible
+    return edges, usual, spread, int(near.sum()), visible
 
 
 def _predict(

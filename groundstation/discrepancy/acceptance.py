@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from enum import Enum, auto
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
 
-from groundstation.discrepancy.proof import BaseChange, Reason, Refusal, Weight
+from groundstation.discrepancy.proof import Changed, Reason, Refusal, Weight
 from groundstation.discrepancy.screening import (
     HELD_OUT_SHARE,
     PENALTY,
     Evidence,
+    Parts,
     Scored,
     beside_shapes,
     cross_validated,
@@ -24,7 +24,7 @@ from groundstation.discrepancy.screening import (
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.model import Estimate
 from groundstation.dynamics.registry import ROTORS_TURN_BY
-from groundstation.identification.body.setup import (
+from groundstation.identification.body_setup import (
     DRAG_HZ,
     GAINS,
     STEERED_HZ,
@@ -42,15 +42,33 @@ from groundstation.identification.likelihood.motion import (
     absent,
     estimates_of,
 )
-from groundstation.identification.likelihood.problem import Fit, Problem, bounded
-from groundstation.identification.likelihood.spectra import linearise, unfitted
+from groundstation.identification.likelihood.problem import (
+    Fit,
+    Problem,
+    bounded,
+    unfitted,
+)
+from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
-# Whether an effect is believed: the gates that every name has to pass, in their order.
+# Whether an effect is believed. In the order in which a name can be lost:
+#
+# 1. ``SCREENED``: it explains enough of the residual, alone, to be worth a joint fit;
+# 2. ``WEIGHED``: it does beside what is there already, on flights that are left out as well
+#    (``search.failing`` asks it again of all that joined);
+# 3. ``JOINED``: it keeps that in the joint fit (``search.drop_needless`` drops it otherwise);
+# 4. ``search.answer_to_predictions``: with it fitted samples are not predicted worse;
+# 5. ``NAMED``: its size is sure and recurs; one that fails here is possible, and not named, or
+#    dropped where it is negligible (``engine.conclude``);
+# 6. ``proof``: flights that no choice has seen do not contradict it.
+#
+# ``SHAKEN`` is asked of a propeller's imbalance, which has no column, by ``disturbances.py``; a
+# sensor's lag is asked by ``engine.add_sensor_lag``.
 #
 # A gate is a question that is asked at one stage of the procedure (``search.py``), a threshold with
 # its source, and the reason that a refused candidate carries. Adding a gate is one function and one
-# line of ``GATES``, or of ``SHAKEN_GATES`` for what has no column and turns with a rotor.
+# line of one of these tables; a reason of its own stands in ``proof.Reason``, its words in
+# ``report.DOUBTS``, a threshold in docs/method.md.
 
 
 Asked = TypeVar("Asked")
@@ -82,41 +100,25 @@ DISAGREE, APART_SHARE = 5.0, 0.4
 and this share of it away."""
 
 
-class Stage(Enum):
-    """Where in the procedure a gate stands."""
+@dataclass(frozen=True, slots=True)
+class Last:
+    """An effect of the last joint fit before its last gates.
 
-    SCREENED = auto()
-    """The columns of every effect are known."""
-    WEIGHED = auto()
-    """Its evidence has been gathered, on flights that are left out too; asked again in the end,
-    beside all that joined since."""
-    JOINED = auto()
-    """Another effect has joined since."""
-    NAMED = auto()
-    """The last one."""
-
-
-@dataclass(slots=True)
-class Trial:
-    """A candidate on its way through the gates; each stage fills in what it found.
-
-    fit: of base, accepted effects and this one. gain: what -2 log L lost by it, less the penalty.
-    removal: what -2 log L gains when it leaves. open_s: delay that the rows leave open. recurrence:
-    share of resamples that choose it. errors: standard errors by key, with what flights differ by.
-    weight: what it carries in predictions, None where nothing
-    is left to explain.
+    open_s: delay that the rows leave open. recurrence: share of resamples that choose it. errors:
+    standard errors by key, with what flights differ by. weight: what it carries in predictions,
+    None where nothing is left to explain.
     """
 
     variant: Variant
-    fit: Fit | None = None
-    gain: float = 0.0
-    evidence: Evidence | None = None
-    removal: float = np.inf
+    fit: Fit
     open_s: float = 0.0
     recurrence: float = 1.0
     errors: Mapping[str, float] = field(default_factory=dict)
     weight: Weight | None = None
-    scored: Scored | None = None
+
+    @property
+    def fitted(self) -> str:
+        return _fitted(self.variant, self.fit.point)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,61 +139,51 @@ class Shaken:
     channels: tuple[int, ...]
 
 
-def weak(trial: Trial) -> str:
+def weak(one: Scored) -> str:
     """The screening promises too little."""
-    assert trial.scored is not None
-    most = WORTH + PENALTY * (len(trial.variant.keys) - 1)
-    return "no significant improvement" if trial.scored.drop < most else ""
+    most = WORTH + PENALTY * (len(one.variant.keys) - 1)
+    return "no significant improvement" if one.drop < most else ""
 
 
-def wrong_sign(trial: Trial) -> str:
+def wrong_sign(one: Scored) -> str:
     """A one-sided size points to the wrong side."""
-    variant = trial.variant
-    assert trial.scored is not None
-    if len(variant.sizes) > 1:
+    size = one.variant.unknowns[0]
+    several = len(one.variant.sizes) > 1
+    if several or size.plausible[0] < 0 or one.values[0] + size.absent > 0:
         return ""
-    size = variant.unknowns[0]
-    possible = size.plausible[0] < 0 or trial.scored.values[0] + size.absent > 0
-    return "" if possible else "fits only with a sign that physics does not allow"
+    return "fits only with a sign that physics does not allow"
 
 
-def implausible(trial: Trial) -> str:
+def implausible(one: Evidence) -> str:
     """No small craft has such a size, or it lies where the search ends."""
-    assert trial.fit is not None
-    point = trial.fit.point
-    ends = any(
-        point.get(u.key, u.absent) in {*u.bounds} - {u.absent} for u in trial.variant.unknowns
-    )
-    if not ends and plausible(trial.variant, point):
+    point = one.point
+    ends = any(point.get(u.key, u.absent) in {*u.bounds} - {u.absent} for u in one.variant.unknowns)
+    if not ends and plausible(one.variant, point):
         return ""
-    return f"not plausible: {_in_words(estimates_of(trial.variant, point, {}))}"
+    return f"not plausible: {_fitted(one.variant, point)}"
 
 
-def insignificant(trial: Trial) -> str:
+def insignificant(one: Evidence) -> str:
     """Chance can do it."""
-    evidence = _evidence(trial)
-    least = LEAST_DROP + DROP_PER_PARAMETER * (len(trial.variant.keys) - 1)
-    enough = evidence.drop >= least and evidence.t >= LEAST_T
-    return "" if enough else f"not significant: {evidence.t:.1f} standard errors"
+    least = LEAST_DROP + DROP_PER_PARAMETER * (len(one.variant.keys) - 1)
+    enough = one.drop >= least and one.t >= LEAST_T
+    return "" if enough else f"not significant: {one.t:.1f} standard errors"
 
 
-def not_held_out(trial: Trial) -> str:
+def not_held_out(one: Evidence) -> str:
     """Flights that its size was not taken from are not explained better."""
-    evidence = _evidence(trial)
-    enough = evidence.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * evidence.expected)
+    enough = one.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * one.expected)
     return "" if enough else "flights that its size was not taken from are not explained better"
 
 
-def unseen_settings(trial: Trial) -> str:
+def unseen_settings(one: Evidence) -> str:
     """What the motors did between rows can do as much, and nobody knows what that was.
 
     A delay is fitted along in any case, for left out it bends the constants, and is asked by
     ``negligible``.
     """
-    evidence = _evidence(trial)
-    if trial.variant.definition.stage == "delay" or evidence.beyond >= max(
-        LEAST_DROP, BEYOND_SHARE * evidence.drop
-    ):
+    least = max(LEAST_DROP, BEYOND_SHARE * one.drop)
+    if one.variant.definition.stage == "delay" or one.beyond >= least:
         return ""
     return (
         "rows hold several settings of the motors and show one: the others can do as much; log"
@@ -199,58 +191,49 @@ def unseen_settings(trial: Trial) -> str:
     )
 
 
-def superfluous(trial: Trial) -> str:
-    """The others do as well without it."""
-    return "superfluous once another effect had joined" if trial.removal < KEEP else ""
+def superfluous(removal: float) -> str:
+    """The others do as well without it. removal: what -2 log L gains when it leaves."""
+    return "superfluous once another effect had joined" if removal < KEEP else ""
 
 
-def negligible(trial: Trial) -> str:
+def negligible(one: Last) -> str:
     """It is surely there, and always is: too small to be called an effect."""
-    assert trial.fit is not None
-    effect, point = trial.variant.definition, trial.fit.point
-    size = float(np.linalg.norm(sizes_at(trial.variant, point)))
-    fitted = f"{_in_words(estimates_of(trial.variant, point, {}))} fitted, but no effect"
-    if effect.stage == "delay" and size < trial.open_s:
+    effect, size = one.variant.definition, float(np.linalg.norm(_sizes(one)))
+    if effect.stage == "delay" and size < one.open_s:
         return (
-            f"{fitted}: the controller answers several times within a row, which leaves a delay"
-            f" below {1e3 * trial.open_s:.2g} ms open"
+            f"{one.fitted} fitted, but no effect: the controller answers several times within a"
+            f" row, which leaves a delay below {1e3 * one.open_s:.2g} ms open"
         )
-    return f"{fitted}: {effect.because}" if size < effect.negligible else ""
+    small = size < effect.negligible
+    return f"{one.fitted} fitted, but no effect: {effect.because}" if small else ""
 
 
-def not_recurrent(trial: Trial) -> str:
-    """Other stretches and flights would choose others."""
-    if trial.recurrence >= LEAST_RECURRENCE:
-        return ""
-    assert trial.fit is not None
-    fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))
-    return f"possible: {fitted} fitted, chosen in {100.0 * trial.recurrence:.0f} % of resamples"
-
-
-def flights_differ(trial: Trial) -> str:
+def flights_differ(one: Last) -> str:
     """From flight to flight it differs by as much as it is large."""
-    assert trial.fit is not None
-    sizes = sizes_at(trial.variant, trial.fit.point)
-    keys, covariance = trial.fit.keys, trial.fit.covariance
-    own = [keys.index(key) for key in trial.variant.sizes]
-    beside = np.diag(beside_shapes(trial.variant, keys, covariance))
-    stated = np.array([trial.errors.get(key, 0.0) for key in trial.variant.sizes])
+    keys, covariance = one.fit.keys, one.fit.covariance
+    own = [keys.index(key) for key in one.variant.sizes]
+    beside = np.diag(beside_shapes(one.variant, keys, covariance))
+    stated = np.array([one.errors.get(key, 0.0) for key in one.variant.sizes])
     more = np.maximum(stated**2 - covariance[own, own], 0.0)
     errors = np.where(stated > 0.0, np.sqrt(beside + more), 0.0)
-    if (np.abs(sizes) >= LEAST_SURE * errors).any():
+    if (np.abs(_sizes(one)) >= LEAST_SURE * errors).any():
         return ""
-    fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))
-    return f"possible: {fitted} fitted, but stretches and flights differ by nearly as much"
+    return f"possible: {one.fitted} fitted, but stretches and flights differ by nearly as much"
 
 
-def without_weight(trial: Trial) -> str:
+def not_recurrent(one: Last) -> str:
+    """Other stretches and flights would choose others."""
+    if one.recurrence >= LEAST_RECURRENCE:
+        return ""
+    return f"possible: {one.fitted} fitted, chosen in {100.0 * one.recurrence:.0f} % of resamples"
+
+
+def without_weight(one: Last) -> str:
     """Predictions are hardly better with it, where something is left to explain."""
-    if trial.weight is None or trial.weight.is_carried:
+    if one.weight is None or one.weight.is_carried:
         return ""
-    assert trial.fit is not None
-    fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))
-    less = "no lower" if trial.weight.share <= 0.0 else "hardly lower"
-    return f"possible: {fitted} fitted, and prediction errors of fitted samples {less} with it"
+    less = "no lower" if one.weight.share <= 0.0 else "hardly lower"
+    return f"possible: {one.fitted} fitted, and prediction errors of fitted samples {less} with it"
 
 
 def is_significant(t: float, drop: float) -> bool:
@@ -289,41 +272,38 @@ def rotors_disagree(shaken: Shaken) -> str:
     return f"recordings disagree on its size by {errors:.0f} standard errors"
 
 
-GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
-    ((Stage.SCREENED,), Reason.WEAK, weak),
-    ((Stage.SCREENED,), Reason.WRONG_SIGN, wrong_sign),
-    ((Stage.WEIGHED,), Reason.IMPLAUSIBLE, implausible),
-    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, insignificant),
-    ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
-    ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
-    ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
-    ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
-    ((Stage.NAMED,), Reason.RECORDINGS_DISAGREE, flights_differ),
-    ((Stage.NAMED,), Reason.NOT_RECURRENT, not_recurrent),
-    ((Stage.NAMED,), Reason.WITHOUT_WEIGHT, without_weight),
+Gates = tuple[tuple[Reason, Callable[[Asked], str]], ...]
+"""The reason that a gate gives, and its question, which returns words, or nothing."""
+SCREENED: Gates[Scored] = ((Reason.WEAK, weak), (Reason.WRONG_SIGN, wrong_sign))
+"""Asked once the columns of every effect are known."""
+WEIGHED: Gates[Evidence] = (
+    (Reason.IMPLAUSIBLE, implausible),
+    (Reason.INSIGNIFICANT, insignificant),
+    (Reason.NOT_HELD_OUT, not_held_out),
+    (Reason.BETWEEN_ROWS, unseen_settings),
 )
-"""When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
-SHAKEN_GATES: tuple[tuple[Reason, Callable[[Shaken], str]], ...] = (
+"""Asked of its evidence, on flights that are left out too; again in the end, beside all that joined
+since."""
+JOINED: Gates[float] = ((Reason.SUPERFLUOUS, superfluous),)
+"""Asked when another effect has joined since."""
+NAMED: Gates[Last] = (
+    (Reason.NEGLIGIBLE, negligible),
+    (Reason.RECORDINGS_DISAGREE, flights_differ),
+    (Reason.NOT_RECURRENT, not_recurrent),
+    (Reason.WITHOUT_WEIGHT, without_weight),
+)
+"""The last ones."""
+SHAKEN: Gates[Shaken] = (
     (Reason.INSIGNIFICANT, chance_shakes),
     (Reason.NOT_ALONE, shakes_no_more),
     (Reason.RECORDINGS_DISAGREE, rotors_disagree),
     (Reason.IMPLAUSIBLE, implausible_shaking),
 )
-"""The same for what turns with a rotor, asked once."""
+"""Of what turns with a rotor, asked once."""
 
 
-def refusal(stage: Stage, trial: Trial) -> Refusal | None:
+def refusal(gates: Gates[Asked], asked: Asked) -> Refusal | None:
     """Why a candidate does not pass a stage; None where it does."""
-    asked = ((reason, question) for where, reason, question in GATES if stage in where)
-    return _first(asked, trial)
-
-
-def shaken_refusal(shaken: Shaken) -> Refusal | None:
-    """The same of what turns with a rotor."""
-    return _first(SHAKEN_GATES, shaken)
-
-
-def _first(gates: Iterable[tuple[Reason, Callable[[Asked], str]]], asked: Asked) -> Refusal | None:
     return next(
         (Refusal(why, words) for why, question in gates if (words := question(asked))), None
     )
@@ -333,15 +313,18 @@ def _in_words(parameters: Mapping[str, Estimate]) -> str:
     return ", ".join(f"{k} {one.value:.3g} {one.unit}".strip() for k, one in parameters.items())
 
 
+def _fitted(variant: Variant, point: Point) -> str:
+    return _in_words(estimates_of(variant, point, {}))
+
+
+def _sizes(one: Last) -> Array:
+    return sizes_at(one.variant, one.fit.point)
+
+
 def plausible(variant: Variant, point: Mapping[str, float]) -> bool:
     """Whether the values are ones that a small craft can have."""
     values = estimates_of(variant, point, {})
     return variant.definition.plausible({k: e.value for k, e in values.items()})
-
-
-def _evidence(trial: Trial) -> Evidence:
-    assert trial.evidence is not None
-    return trial.evidence
 
 
 # The constants that the given model had already: which of them data improve, and what changed.
@@ -360,7 +343,7 @@ TOUCHES: dict[str, tuple[int, ...]] = {
     "c2": (2, 8),
     THRUST: (5,),
 }
-"""Channels (0..8 as in ``comparison.channels``) that a constant moves first; others move all."""
+"""Channels (0..8 as in ``gap.CHANNELS``) that a constant moves first; others move all."""
 
 
 def groups(start: Point, known: Sequence[Group]) -> list[Group]:
@@ -390,7 +373,7 @@ def not_improved(
     for group in left if folds else ():
         linear = problem.linear(rest.point, rest.keys, folds)
         away = np.array([rest.point[k] - problem.start.get(k, absent(k)) for k in group])
-        gain, _ = cross_validated(problem, linear, group, away)
+        gain, _ = cross_validated(linear, Parts.of(problem, linear), group, away)
         if gain < LEAST_HELD_OUT:
             rest = _gone_back(rest, group, problem.start)
             held.update(group)
@@ -429,7 +412,9 @@ def confirmation(problem: Problem, point: Point, axis: int, band: tuple[float, f
 
 def _free_cost(problem: Problem, point: Point, axis: int, band: tuple[float, float]) -> float:
     """-2 log L of the rates about an axis in a band (Hz), each flight's spectrum at its best."""
-    return unfitted(linearise(problem.flights, problem.frame, point, (), (axis,)).within(*band))[2]
+    plain = problem.plain(point, (), problem.flights)
+    own = replace(plain, spectra=[s for s in plain.spectra if s.channel == axis])
+    return unfitted(own.within(*band))[2]
 
 
 def _cost_of_going_back(fit: Fit, group: Group, start: Point) -> float:
@@ -453,7 +438,7 @@ def _gone_back(fit: Fit, group: Group, start: Point) -> Fit:
 
 def base_changes(
     problem: Problem, fit: Fit, final: Point, errors: Mapping[str, float], keys: Sequence[str]
-) -> tuple[BaseChange, ...]:
+) -> tuple[Changed, ...]:
     """The constants among ``keys`` that moved to ``final``, what effects are other names of
     (``renames``) included. errors: standard errors by key.
     """
@@ -461,11 +446,15 @@ def base_changes(
     for key in keys:
         given, now = problem.start.get(key, absent(key)), final.get(key, absent(key))
         if given != now:
-            percent = 100.0 * (now / given - 1.0) if given else None
-            pushed = None
-            if key == THRUST and percent is not None:
-                pushed = _pushed(problem, fit.point, percent)
-            found.append(BaseChange(key, given, now, errors.get(key), percent, pushed))
+            percent, stderr = None, errors.get(key)
+            words = f"{key} {given:.4g} -> {now:.4g}"
+            if given:
+                percent = 100.0 * (now / given - 1.0)
+                pushed = _pushed(problem, fit.point, percent) if key == THRUST else None
+                spread = "" if stderr is None else f" +- {_short(100.0 * stderr / abs(given))}"
+                words = f"{key} {_short(percent, sign=True)} %{spread}"
+                words += _meaning(key, percent, now / given, pushed)
+            found.append(Changed(key, given, now, stderr, percent, words))
     return tuple(found)
 
 
@@ -502,32 +491,23 @@ def _pushed(problem: Problem, final: Point, percent: float) -> float | None:
     return pushed if abs(pushed - percent) >= SAME_PERCENT else None
 
 
-def in_words(change: BaseChange) -> str:
-    """A change, and what it may mean."""
-    if change.percent is None:
-        return f"{change.name} {change.given:.4g} -> {change.value:.4g}"
-    spread = ""
-    if change.stderr is not None:
-        spread = f" +- {_short(100.0 * change.stderr / abs(change.given))}"
-    return f"{change.name} {_short(change.percent, sign=True)} %{spread}{_meaning(change)}"
-
-
-def _meaning(change: BaseChange) -> str:
-    if change.pushed is not None:
-        how = f"{_short(abs(change.pushed))} % {'more' if change.pushed > 0.0 else 'less'}"
-        if abs(change.pushed) < SAME_PERCENT:
+def _meaning(key: str, percent: float, times: float, pushed: float | None) -> str:
+    """What a change of a constant may mean. pushed: by how many per cent the rotors, as modelled,
+    push more at the same PWM; None: by as much as the constant says."""
+    if pushed is not None:
+        how = f"{_short(abs(pushed))} % {'more' if pushed > 0.0 else 'less'}"
+        if abs(pushed) < SAME_PERCENT:
             how = "as much as before"
         return f" with rotors of other speeds: at the same PWM they push the craft {how}"
-    if change.name == THRUST:
-        heavier = 100.0 * (change.given / change.value - 1.0)
+    if key == THRUST:
+        heavier = 100.0 * (1.0 / times - 1.0)
         if heavier > 0.0:
             return f": the craft is {_short(heavier)} % heavier or its rotors weaker"
         return f": the craft is {_short(-heavier)} % lighter or its rotors stronger"
-    axis = {"c0": "roll", "c1": "pitch", "c2": "yaw"}.get(change.name)
+    axis = {"c0": "roll", "c1": "pitch", "c2": "yaw"}.get(key)
     if axis is None:
         return ""
-    assert change.percent is not None
-    how = "more" if change.percent > 0 else "less"
+    how = "more" if percent > 0 else "less"
     why = "drag of the rotors" if axis == "yaw" else "thrust of the rotors or their distance"
     return f": {axis} answers {how} to its torque (inertia, {why})"
 

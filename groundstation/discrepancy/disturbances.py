@@ -8,21 +8,23 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
+from groundstation.comparison.gap import CHANNELS, FURTHER_EVERY_S, AheadErrors
 from groundstation.discrepancy.acceptance import (
     LEAST_DROP,
     LEAST_SURE,
+    SHAKEN,
     Shaken,
     is_significant,
-    shaken_refusal,
+    refusal,
 )
-from groundstation.discrepancy.proof import Candidate, Findings, Refusal, with_last
+from groundstation.discrepancy.proof import UNPROVEN, Candidate, EffectFound, Findings, Verdict
 from groundstation.dynamics.effect import FAR_M, FORCE, GYRO, SPIN, Body, Craft, Role, power_passed
-from groundstation.dynamics.model import Disturbance, Estimate, Model, model_vehicle
+from groundstation.dynamics.model import Disturbance, EffectTerm, Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import DISTURBANCE, EFFECTS
 from groundstation.identification.estimate import bounded_step
 from groundstation.identification.flight import Flight
@@ -179,11 +181,6 @@ def with_disturbance(model: Model, fitted: Comparison) -> Model:
     return with_term(model, best_followed(slow, fitted).with_trims(trims))
 
 
-def is_followed(model: Model) -> bool:
-    """Whether a model says of itself what is slow."""
-    return model.disturbance is not None
-
-
 def best_followed(slow: Slow, fitted: Comparison) -> Slow:
     """At the pace with which fitted rows are predicted best, with the spreads only of those
     channels that are: beside what is fast and has no name, following what is slow can mislead."""
@@ -260,8 +257,6 @@ def _means(one: AheadErrors) -> Array:
 
 def with_term(model: Model, slow: Slow) -> Model:
     """A model whose observer follows what is slow."""
-    import msgspec
-
     if not slow.spread.any():
         return model
     x, y, z, u, v, w = slow.spread.tolist()
@@ -536,24 +531,48 @@ def _per_size(craft: Craft, speed: Array, corners: tuple[float, float]) -> Array
 
 # Which propeller is out of balance: ``propeller_imbalance``.
 #
-# No column shows it, for nobody knows the angle of a rotor: it is told by its power
-# (``vibration.py``), changes no prediction, and closes no gap, since vibration counts as noise.
+# No column shows it, for nobody knows the angle of a rotor: it is told by its power,
+# changes no prediction, and closes no gap, since vibration counts as noise.
 # Every propeller shakes a little; named is a rotor that shakes more than the three others
 # together.
 
 
 def with_imbalance(findings: Findings, problem: Problem, point: Point) -> Findings:
-    """The findings, with ``propeller_imbalance`` as the last effect where one rotor shakes the
-    craft. point: where the search ended, which says how fast rotors turned."""
+    """The findings, with ``propeller_imbalance`` as the last effect, beside which all others stay
+    as they are, where one rotor shakes the craft. point: where the search ended, which says how
+    fast rotors turned."""
     if any(term.name == IMBALANCE.name for term in findings.model.effects):
         return findings
     fitted = _windows(problem.flights, problem, point, findings.base)
     if not fitted:
         return findings
     asked = shaken_most(fitted)
-    why = shaken_refusal(asked)
-    found = replace(findings, candidates=(*findings.candidates, _candidate(asked, why)))
-    return found if why else _joined(found, asked)
+    why = refusal(SHAKEN, asked)
+    candidate = Candidate(IMBALANCE.name, asked.drop, asked.t, 0.0, True)
+    if why is not None:
+        candidate = candidate.refused(why)
+    found = replace(findings, candidates=(*findings.candidates, candidate))
+    if why is not None:
+        return found
+    term = EffectTerm(IMBALANCE.name, dict(asked.parameters))
+    model = msgspec.structs.replace(findings.model, effects=(*findings.model.effects, term))
+    effect = EffectFound(
+        name=IMBALANCE.name,
+        order=len(findings.effects) + 1,
+        adds=IMBALANCE.adds,
+        parameters=term.parameters,
+        evidence={"likelihood_ratio": asked.drop, "t": asked.t, "over_others": asked.alone},
+        alternatives=(),
+        gap=UNPROVEN,
+        channels=tuple(CHANNELS[channel] for channel in asked.channels),
+    )
+    return replace(
+        found,
+        verdict=Verdict.EFFECTS_FOUND,
+        effects=(*findings.effects, effect),
+        models=(*findings.models, model),
+        model=model,
+    )
 
 
 def shaken_most(fitted: Sequence[Windows]) -> Shaken:
@@ -615,24 +634,3 @@ def _apart(sizes: Array, whole: float) -> tuple[float, float]:
     away = np.abs(sizes[:, 0] - whole)
     worst = int(np.argmax(away / sizes[:, 1]))
     return float(away[worst] / sizes[worst, 1]), float(away[worst] / max(whole, 1e-300))
-
-
-def _candidate(asked: Shaken, why: Refusal | None) -> Candidate:
-    return Candidate(
-        IMBALANCE.name,
-        dict(asked.parameters),
-        asked.drop,
-        asked.t,
-        0.0,
-        why is None,
-        why,
-    )
-
-
-def _joined(findings: Findings, asked: Shaken) -> Findings:
-    evidence = {
-        "likelihood_ratio": asked.drop,
-        "t": asked.t,
-        "over_others": asked.alone,
-    }
-    return with_last(findings, IMBALANCE, asked.parameters, evidence, asked.channels)

@@ -7,9 +7,10 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import msgspec
 import numpy as np
 
-from groundstation.comparison.comparison import Comparison, Judged, compare
+from groundstation.comparison.comparison import Judged, compare
 from groundstation.comparison.consistency import (
     broken_rotor_sensors,
     missing_channel,
@@ -17,39 +18,26 @@ from groundstation.comparison.consistency import (
     require_consistent,
 )
 from groundstation.comparison.gap import CHANNELS, FURTHER_EVERY_S
-from groundstation.discrepancy.acceptance import Stage, Trial, base_changes, refusal
-from groundstation.discrepancy.disturbances import (
-    Slow,
-    best_followed,
-    is_followed,
-    slow_part,
-    with_disturbance,
-    with_imbalance,
-    with_term,
-)
+from groundstation.discrepancy.acceptance import NAMED, WEIGHED, Last, base_changes, refusal
+from groundstation.discrepancy.disturbances import with_disturbance, with_imbalance
 from groundstation.discrepancy.proof import (
-    LEFT,
-    Alternative,
+    UNPROVEN,
     Candidate,
+    EffectFound,
     Findings,
     FittedRows,
-    FoundEffect,
     NotShown,
-    Predicted,
     Predictions,
     Proof,
     Reason,
     Verdict,
-    Weight,
     bare,
     prove,
-    weight,
 )
 from groundstation.discrepancy.recurrence import (
     BY_MASS,
     DELAY,
     UNWEIGHED,
-    Blocks,
     Recurrence,
     asked_again,
     last_blocks,
@@ -58,27 +46,37 @@ from groundstation.discrepancy.recurrence import (
     with_open_delay,
     with_unmeasured,
 )
-from groundstation.discrepancy.screening import Scored, gather, without
+from groundstation.discrepancy.screening import Evidence, Scored, leftover
 from groundstation.discrepancy.search import (
-    Accepted,
-    Outcome,
+    Judge,
     SearchState,
-    concluded,
+    answer_to_predictions,
     search_effects,
+    to_follow,
 )
 from groundstation.dynamics.effect import CANDIDATES
-from groundstation.dynamics.model import Estimate, Model, model_vehicle
+from groundstation.dynamics.model import PROFILE, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
-from groundstation.identification.body.setup import open_delay_s, unseen, unseen_delay_s
-from groundstation.identification.division import LEAST_S, Span, best_way, cut, excitation
-from groundstation.identification.estimate import inverse
-from groundstation.identification.flight import LEAST_AIR_S, SETTLE_S, Flight, prepare, turning
+from groundstation.identification.body import identify_body
+from groundstation.identification.body_setup import open_delay_s, unseen, unseen_delay_s
+from groundstation.identification.estimate import inverse, require_results
+from groundstation.identification.flight import (
+    LEAST_AIR_S,
+    LEAST_S,
+    SETTLE_S,
+    Flight,
+    Span,
+    best_way,
+    cut,
+    excitation,
+    prepare,
+    turning,
+)
 from groundstation.identification.likelihood.motion import (
     ALONG,
     BODY_KEYS,
     MOTOR_KEYS,
-    RENAMES,
     SENSOR_LAG,
     VARIANTS,
     Point,
@@ -110,11 +108,10 @@ END_SHARE = 0.45
 
 @dataclass(frozen=True, slots=True)
 class Division:
-    """fit_on and held_out: runs. judged: the held-out rows as parts of whole runs, whose rows
-    before only tell a state. what: which rows are held out, in words."""
+    """fit_on: runs. judged: the held-out rows as parts of whole runs, whose rows before only tell a
+    state. what: which rows are held out, in words."""
 
     fit_on: list[Run]
-    held_out: list[Run]
     judged: list[Judged]
     what: str
 
@@ -132,6 +129,12 @@ class _Air:
     moved: Array
     seconds: float
 
+    @property
+    def energy(self) -> Array:
+        """Of what moves the craft (4,), over time."""
+        away = self.moved - self.moved.mean(axis=0) if len(self.moved) else self.moved
+        return (away**2).sum(axis=0) * self.run.period_s
+
     def with_ground(self, spans: Sequence[Span]) -> list[Span]:
         """Spans of these rows as spans of the run, the outer ones with what is on the ground."""
         end, last = len(self.moved), len(self.run)
@@ -141,7 +144,7 @@ class _Air:
 def divide(
     flights: Sequence[Sequence[Run]], held: Sequence[Sequence[Run]], configuration: str
 ) -> Division:
-    """Hold out ``held``, or else a third of each recording (``identification.division``) that is
+    """Hold out ``held``, or else a third of each recording (``flight.best_way``) that is
     long enough for it; where none is, a whole recording.
 
     flights, held: the runs of each recording. Raises BadInputError where nothing can be held out.
@@ -162,21 +165,19 @@ def divide(
     fit_on = [
         run for part, one in zip(flights, seconds, strict=True) if one < LONG_S for run in part
     ]
-    rest, judged = [], []
+    judged = []
     for part in long:
         cuts = cut(way, [len(one.moved) for one in part])
         for one, (fitted, spans) in zip(part, cuts, strict=True):
             fit_on += [one.run[a:b] for a, b in one.with_ground(fitted)]
-            for a, b in one.with_ground(spans):
-                rest.append(one.run[a:b])
-                judged.append(Judged(one.run, a, b))
+            judged += [Judged(one.run, a, b) for a, b in one.with_ground(spans)]
     which = "" if len(long) == len(flights) else f" of those of {LONG_S:.0f} s and more"
-    return Division(fit_on, rest, judged, way + which)
+    return Division(fit_on, judged, way + which)
 
 
 def _given(fit_on: list[Run], held: list[Run], what: str) -> Division:
     """Whole runs on either side."""
-    return Division(fit_on, held, [Judged(run, 0, len(run)) for run in held], what)
+    return Division(fit_on, [Judged(run, 0, len(run)) for run in held], what)
 
 
 def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Division:
@@ -184,7 +185,7 @@ def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Divisio
     last seconds."""
     if len(flown) < 2:
         return _end(flown[0], seconds[0])
-    energy = np.array([sum(_energy(one) for one in part) for part in flown])
+    energy = np.array([sum(one.energy for one in part) for part in flown])
     share = energy / np.maximum(energy.sum(axis=0), 1e-300)
     most = int(np.argmax(np.minimum(share, 0.5 * (1.0 - share)).min(axis=1)))
     fit_on = [one.run for number, part in enumerate(flown) if number != most for one in part]
@@ -204,16 +205,8 @@ def _end(part: Sequence[_Air], seconds: float) -> Division:
     held_s = max(PIECE_S, END_SHARE * longest.seconds)
     edge = longest.first + len(longest.moved) - round(held_s / run.period_s)
     fit_on = [one.run for one in part if one is not longest]
-    what = f"last {held_s:.1f} s"
-    return Division([*fit_on, run[:edge]], [run[edge:]], [Judged(run, edge, len(run))], what)
-
-
-def _energy(one: _Air) -> Array:
-    """Of what moves the craft (4,), over time."""
-    if not len(one.moved):
-        return np.zeros(4)
-    away = one.moved - one.moved.mean(axis=0)
-    return (away**2).sum(axis=0) * one.run.period_s
+    judged = [Judged(run, edge, len(run))]
+    return Division([*fit_on, run[:edge]], judged, f"last {held_s:.1f} s")
 
 
 def _flown(run: Run, configuration: str) -> _Air:
@@ -301,79 +294,6 @@ def _without_broken_sensors(
     return mended_groups, list(warnings.values())
 
 
-# How a search judges what it found by predictions.
-#
-# What drifts slowly is in every prediction and belongs to no effect of a search: beside it one that
-# is right may seem to predict worse. So it is followed where effects are weighed. Whether it has a
-# name is asked of the final model (``slow_disturbance``), and so is whether that predicts worse.
-
-
-CLEARLY_T = 2.0
-"""Standard errors by which a channel is worse beside what is followed. There one is no reason: how
-much of a channel the follower takes depends on the model a little, and that the given model as it
-is predicts nothing better is asked of the final one."""
-
-
-class Judge:
-    """Fitted rows as the model at a point predicts them, beside what the given model says; the
-    observer follows what is ``slow`` in both alike, where it is given."""
-
-    def __init__(
-        self, fitted: FittedRows, model_at: Callable[[Point], Model], slow: Slow | None = None
-    ) -> None:
-        self._given, self._model_at, self._slow = fitted, model_at, slow
-        given = fitted.before.model
-        self._beside = FittedRows(fitted.of(with_term(given, slow))) if slow else fitted
-
-    def __call__(self, point: Point) -> Predicted:
-        model = self._model_at(point)
-        if self._slow is None:
-            return self._given.judge(model)
-        found = self._beside.judge(with_term(model, self._slow))
-        if not found.worse:
-            return found
-        # A channel that is predicted better where nothing is followed is no witness, nor is one
-        # within noise that hardly changes.
-        better = self._given.of(model).rms < self._given.before.rms
-        before = self._beside.before
-        hardly = LEFT * before.rms / before.noise_floor
-        worse = {
-            channel: t
-            for channel, t in found.worse.items()
-            if t >= CLEARLY_T
-            and not better[channel]
-            and not found.gaps[channel] <= min(1.0, hardly[channel])
-        }
-        return replace(found, worse=worse)
-
-    def weights(self, point: Point, accepted: Sequence[Accepted]) -> dict[str, Weight]:
-        """What each of these effects carries, by label; none of those that touch only channels in
-        which nothing is left to explain."""
-        improved, found = self._model(point), {}
-        near = self._beside.of(improved)
-        now = self._beside.squares(improved)
-        for one in accepted:
-            left = self._beside.squares(self._model(without(point, one.variant)), near)
-            carried = weight(self._given.before.gap, now, left, one.evidence.channels)
-            if carried is not None:
-                found[one.variant.label] = carried
-        return found
-
-    def _model(self, point: Point) -> Model:
-        """With what is slow."""
-        model = self._model_at(point)
-        return model if self._slow is None else with_term(model, self._slow)
-
-
-def to_follow(fitted: Comparison) -> Slow | None:
-    """What a model leaves of fitted rows that lasts, as predictions are best; None: nothing does,
-    or the model says of itself what is slow."""
-    if is_followed(fitted.model):
-        return None
-    slow = slow_part(fitted.errors)
-    return best_followed(slow, fitted) if slow.is_there else None
-
-
 # The lag of the sensor behind recorded rotor speeds: its name, where the given model has none.
 #
 # Wherever rows show speeds it is fitted along with the base constants, and so no candidate that
@@ -381,22 +301,20 @@ def to_follow(fitted: Comparison) -> Slow | None:
 # gates. One that the model has stays as it was given (``Problem.base_keys``).
 
 
-def with_sensor_lag(outcome: Outcome, problem: Problem, folds: Sequence[Flight]) -> Outcome:
-    """The outcome of a search in which the sensor's lag is one of the effects, or refused."""
-    final = outcome.final
+def add_sensor_lag(search: SearchState) -> None:
+    """The sensor's lag as one of the effects of a search, or refused."""
+    final = search.now
     if SENSOR_LAG not in final.keys:
-        return outcome
-    (evidence,) = gather(problem, folds, final, [ALONG])
-    why = refusal(Stage.WEIGHED, Trial(ALONG, final, evidence=evidence))
+        return
+    (evidence,) = search.weighed(final, [ALONG])
+    why = refusal(WEIGHED, evidence)
+    if why is None:
+        search.accepted.append(evidence)
+    else:
+        search.refused[ALONG.label] = why
     size, error = final.point[SENSOR_LAG], final.stderr()[SENSOR_LAG]
-    scored = Scored(ALONG, evidence.drop, np.array([size]), np.array([error]))
-    return replace(
-        outcome,
-        accepted=[*outcome.accepted, *([] if why else [Accepted(ALONG, evidence)])],
-        refused={**outcome.refused, **({ALONG.label: why} if why else {})},
-        held_out={**outcome.held_out, ALONG.label: evidence.held_out},
-        scores=[*outcome.scores, scored],
-    )
+    search.held_out[ALONG.label] = evidence.held_out
+    search.scores.append(Scored(ALONG, evidence.drop, np.array([size]), np.array([error])))
 
 
 # What a search came to, told: effects with their evidence, candidates, what could not be shown.
@@ -407,69 +325,83 @@ SHOWN = 5.0
 
 
 def conclude(
-    outcome: Outcome,
+    search: SearchState,
     errors: Mapping[str, float],
     recurrence: Mapping[str, Recurrence],
-    problem: Problem,
     model: Model,
-    known: Sequence[Variant],
     lost: dict[str, str],
     warnings: list[str],
 ) -> Findings:
     """The findings, but for what predictions say of the verdict.
 
-    errors: standard errors by key that are told. recurrence: by label. known: effects of the given
-    model. lost: as in ``Findings``.
+    errors: standard errors by key that are told. recurrence: by label. lost: as in ``Findings``.
     """
-    final, residual = outcome.final, outcome.residual
-    given = tuple(key for v in known for key in v.keys)
-    named, possible = _named_and_possible(outcome, recurrence, problem)
-    others = [one for one in outcome.accepted if one not in named]
+    problem, point, residual = search.problem, search.now.point, search.residual
+    own = problem.frame.own
+    given = tuple(key for variant in search.known for key in variant.keys)
+    named, possible = _named_and_possible(search, recurrence)
+    others = [one for one in search.accepted if one not in named]
     unnamed = (*given, *(key for one in others for key in one.variant.keys))
 
-    def told(one: Accepted, order: int, keys: tuple[str, ...]) -> FoundEffect:
+    def told(one: Evidence, order: int) -> EffectFound:
         again = recurrence.get(one.variant.label)
-        return _effect(one, again, order, outcome, errors, keys, model, problem.frame.own)
+        return EffectFound(
+            name=one.variant.effect,
+            order=order,
+            adds=one.variant.definition.adds,
+            parameters=estimates_of(one.variant, point, errors),
+            evidence={
+                "likelihood_ratio": one.drop,
+                "t": one.t,
+                "held_out": one.held_out,
+                "held_out_expected": one.expected,
+            },
+            alternatives=again.instead if again else (),
+            gap=UNPROVEN,
+            channels=tuple(CHANNELS[c] for c in one.channels),
+            recurrence=again.share if again else None,
+        )
 
-    keys, effects = unnamed, []
+    keys, effects, models = unnamed, [], []
     for order, one in enumerate(named, 1):
         keys = (*keys, *one.variant.keys)
-        effects.append(told(one, order, keys))
+        effects.append(told(one, order))
+        models.append(model_of(point, errors, keys, model, own))
     warnings += _not_measured(problem, model, effects)
     verdict = Verdict.EFFECTS_FOUND
-    if not effects and residual.verdict == "structured":
-        verdict = Verdict.UNEXPLAINED
-    elif not effects:
-        verdict = Verdict.NO_DISCREPANCY
-    base = (*BODY_KEYS, *MOTOR_KEYS, *given)
-    changed = _with_renamed(final.point, outcome, problem)
+    if not effects:
+        is_left = residual.verdict == "structured"
+        verdict = Verdict.UNEXPLAINED if is_left else Verdict.NO_DISCREPANCY
+    moved = model_of(point, errors, unnamed, model, own)
+    changed = _with_renamed(search)
     return Findings(
         verdict=verdict,
         effects=tuple(effects),
-        possible=tuple(
-            replace(told(one, 0, unnamed), refused=outcome.refused[one.variant.label])
-            for one in possible
-        ),
+        models=tuple(models),
+        possible=tuple(told(one, 0).doubted(search.refused[one.variant.label]) for one in possible),
         base=model,
         given=model,
-        moved=model_of(final.point, errors, unnamed, model, problem.frame.own),
-        base_changes=base_changes(problem, final, changed, errors, base),
-        model=model_of(final.point, errors, keys, model, problem.frame.own),
-        candidates=_candidates(outcome),
-        not_shown=tuple(_not_shown(outcome.scores, {effect.name for effect in effects})),
+        moved=moved,
+        base_changes=base_changes(
+            problem, search.now, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
+        ),
+        model=models[-1] if models else moved,
+        candidates=tuple(_candidates(search)),
+        not_shown=tuple(_not_shown(search.scores, {effect.name for effect in effects})),
         lost=lost,
         residual=residual,
         warnings=tuple(warnings),
     )
 
 
-def _not_measured(problem: Problem, model: Model, effects: Sequence[FoundEffect]) -> Iterator[str]:
+def _not_measured(problem: Problem, model: Model, effects: Sequence[EffectFound]) -> Iterator[str]:
     if not problem.known_motor:
         yield (
             "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
             " effects of voltage are taken for it"
         )
-    if model.vehicle_profile is None and any(_is_by_mass(effect) for effect in effects):
+    sizes = [one for effect in effects for one in effect.parameters.values()]
+    if model.vehicle_profile is None and any(one.unit.startswith(BY_MASS) for one in sizes):
         yield (
             f"sizes in kg and N are for the mass of the profile,"
             f" {1e3 * model_vehicle(model).mass_kg:.3g} g, and their errors hold"
@@ -477,18 +409,14 @@ def _not_measured(problem: Problem, model: Model, effects: Sequence[FoundEffect]
         )
 
 
-def _is_by_mass(effect: FoundEffect) -> bool:
-    return any(one.unit.startswith(BY_MASS) for one in effect.parameters.values())
-
-
-def _with_renamed(point: Point, outcome: Outcome, problem: Problem) -> Point:
+def _with_renamed(search: SearchState) -> Point:
     """The point with constants moved by the accepted effects that are another name for it."""
-    changed = dict(point)
-    for one in outcome.accepted:
+    changed = dict(search.now.point)
+    for one in search.accepted:
         rename = one.variant.definition.renames
         if rename is not None:
-            size = point[one.variant.sizes[0]]
-            changed[rename.constant] = rename.moved(problem.start[rename.constant], size)
+            given, size = search.problem.start[rename.constant], changed[one.variant.sizes[0]]
+            changed[rename.constant] = rename.moved(given, size)
     return changed
 
 
@@ -502,89 +430,39 @@ def open_of(flights: Sequence[Flight]) -> float:
 
 
 def _named_and_possible(
-    outcome: Outcome, recurrence: Mapping[str, Recurrence], problem: Problem
-) -> tuple[list[Accepted], list[Accepted]]:
+    search: SearchState, recurrence: Mapping[str, Recurrence]
+) -> tuple[list[Evidence], list[Evidence]]:
     """Effects that pass the last gates, and those that are no more than possible; why the others
-    have no name is in ``outcome.refused`` then."""
-    open_s = open_of(problem.flights)
+    have no name is in ``search.refused`` then."""
+    open_s = open_of(search.problem.flights)
     named, possible = [], []
-    for one in outcome.accepted:
+    for one in search.accepted:
         label = one.variant.label
-        trial = Trial(
+        last = Last(
             one.variant,
-            outcome.final,
-            open_s=open_s,
-            recurrence=recurrence[label].share if label in recurrence else 1.0,
-            errors=outcome.errors,
-            weight=outcome.weights.get(label),
+            search.now,
+            open_s,
+            recurrence[label].share if label in recurrence else 1.0,
+            search.errors,
+            search.weights.get(label),
         )
-        why = refusal(Stage.NAMED, trial)
+        why = refusal(NAMED, last)
         if why is None:
             named.append(one)
             continue
-        outcome.refused[label] = why
+        search.refused[label] = why
         if why.reason is not Reason.NEGLIGIBLE:
             possible.append(one)
     return named, possible
 
 
-def _effect(
-    one: Accepted,
-    again: Recurrence | None,
-    order: int,
-    outcome: Outcome,
-    errors: Mapping[str, float],
-    keys: tuple[str, ...],
-    model: Model,
-    own: Sequence[Variant],
-) -> FoundEffect:
-    name, evidence = one.variant.effect, one.evidence
-    point = outcome.final.point
-    return FoundEffect(
-        name=name,
-        order=order,
-        parameters=estimates_of(one.variant, point, errors),
-        evidence={
-            "likelihood_ratio": evidence.drop,
-            "t": evidence.t,
-            "held_out": evidence.held_out,
-            "held_out_expected": evidence.expected,
-        },
-        alternatives=tuple(
-            Alternative(other.name, other.margin, _manoeuvre(name, other.name, own), other.share)
-            for other in (again.instead if again else ())
-        ),
-        recurrence=again.share if again else math.nan,
-        channels=tuple(CHANNELS[c] for c in evidence.channels),
-        adds=one.variant.definition.adds,
-        model=model_of(point, errors, keys, model, own),
-    )
-
-
-def _manoeuvre(name: str, other: str, own: Sequence[Variant]) -> str:
-    """What separates two effects, from the catalogue, whichever of the two knows it."""
-    effects = {**EFFECTS, **{one.effect: one.definition for one in own}}
-    for one, two in ((name, other), (other, name)):
-        for confusion in effects[one].confused_with:
-            if confusion.other == two:
-                return confusion.manoeuvre
-    return effects[other].excited_by
-
-
-def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
-    fitted = {one.variant.label for one in outcome.accepted}
-    found = []
-    for one in outcome.scores:
+def _candidates(search: SearchState) -> Iterator[Candidate]:
+    fitted = {one.variant.label for one in search.accepted}
+    for one in search.scores:
         label = one.variant.label
-        parameters = {
-            key.partition(".")[2]: Estimate(float(size + absent(key)), float(error), "")
-            for key, size, error in zip(one.variant.sizes, one.values, one.errors, strict=True)
-        }
-        why = outcome.refused.get(label)
-        held_out = outcome.held_out.get(label, 0.0)
-        accepted = label in fitted and why is None
-        found.append(Candidate(label, parameters, one.drop, one.t, held_out, accepted, why))
-    return tuple(found)
+        why, held_out = search.refused.get(label), search.held_out.get(label, 0.0)
+        found = Candidate(label, one.drop, one.t, held_out, label in fitted)
+        yield found if why is None else found.refused(why)
 
 
 def _not_shown(scores: Sequence[Scored], named: Container[str]) -> list[NotShown]:
@@ -614,8 +492,6 @@ Progress = Callable[[str, float], None]
 MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
 STEPS_KEPT = 16
 """Of a proof, which has a model a step."""
-LEAST_EXPLAINED = 0.1
-"""Of the given model's squared excess over noise: what explains less of it explains nothing."""
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
 
@@ -630,7 +506,7 @@ class Discrepancy(Result):
     findings: Findings
     proof: Proof
     held_out: str = ""
-    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.report_html:discrepancy"
+    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.report:discrepancy"
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -650,14 +526,16 @@ def find_discrepancy(
     *,
     own: Sequence[Variant] = (),
     left_out: Sequence[str] = (),
+    fit_base: bool = False,
     progress: Progress | None = None,
 ) -> Discrepancy:
     """Find, name and add what ``model`` is missing, and prove it on samples that decided nothing.
 
-    recordings: the runs of each (``recordings.flights_of``). validation: recordings that are the
+    recordings: the runs of each (``runs.flights_of``). validation: recordings that are the
     proof, and touch neither names nor sizes; none: parts of the others (``division``). own: effects
     of the user's own as further candidates. left_out: what of the recordings has no runs, in words
-    (``recordings.flights_of_each``).
+    (``runs.flights_of_each``). fit_base: the body of ``model`` is a profile's; fit it first, on the
+    samples that choose names.
 
     Raises BadInputError where no recording has gyro, PWM and battery voltage, no flight, no motion,
     or where the model is of another craft.
@@ -667,6 +545,11 @@ def find_discrepancy(
     model = bare(model)  # what is slow is another on every day
     (recordings, validation), unused = usable((recordings, validation), model)
     parts = divide(recordings, validation, model_vehicle(model).configuration)
+    said = [*left_out, *unused]
+    if fit_base:
+        report("fitting the body", 0.0)
+        model, doubts = _with_fitted_body(parts.fit_on, model)
+        said += doubts
     train = Predictions(compare(parts.fit_on, model))
     proof_rows = Predictions(compare(parts.judged, model, train.before.black_box), kept=STEPS_KEPT)
     findings = find_effects(
@@ -678,15 +561,33 @@ def find_discrepancy(
     )
     report("proving it", 0.8)
     driven = {**train.before.warnings, **proof_rows.before.warnings}
-    said = (*left_out, *unused, *driven.values(), *findings.warnings)
+    said += [*driven.values(), *findings.warnings]
     findings = replace(
         findings,
         given=with_disturbance(model, train.before),
         model=with_disturbance(findings.model, train.of(findings.model)),
-        warnings=said,
+        warnings=tuple(said),
     )
     findings, proof = prove(findings, train, proof_rows)
     return Discrepancy(findings, proof, parts.what)
+
+
+def _with_fitted_body(fit_on: Sequence[Run], model: Model) -> tuple[Model, list[str]]:
+    """The model of a profile with the body that these rows show, and what is to be said of it. What
+    no fit tells stays the profile's, for a fit never blocks a search."""
+    vehicle = model_vehicle(model)
+    runs = [without_gaps(run) for run in fit_on]
+    measured = all(np.isfinite(run.rotor_rev_s).all() for run in runs)
+    try:
+        found = identify_body(runs, (), model, vehicle, measured=measured)
+        doubts = require_results(found.account, model, vehicle)
+    except BadInputError as error:
+        origin = {"motor": PROFILE, "body": PROFILE}
+        told = f"the body could not be fitted, and is the profile's in the improved model: {error}"
+        return msgspec.structs.replace(model, origin=origin), [told]
+    names = [{"file": name} for name in dict.fromkeys(run.name for run in runs)]
+    fitted = found.documented(recordings=names, held_out=found.account["held_out"])
+    return fitted, doubts
 
 
 def find_effects(
@@ -699,7 +600,7 @@ def find_effects(
 ) -> Findings:
     """Find, name and fit the effects that ``model`` is missing in ``flights``.
 
-    flights: rows that were lost may be NaN (see ``recordings.flights_of``); each of them is left
+    flights: rows that were lost may be NaN (see ``runs.flights_of``); each of them is left
     out once, and has to agree with what the others say. judged: the given model's predictions of
     them; what makes these worse is taken back; None: they are not asked. own: effects of the user's
     own as further candidates.
@@ -712,32 +613,6 @@ def find_effects(
     fit_on = prepare(flights)
     if judged is None:  # or else the comparison has asked
         require_consistent(list(flights), model)
-
-    found = _searched(fit_on, model, judged, own, report)
-    return found if judged is None else replace(found, verdict=_verdict(found, judged))
-
-
-def _verdict(findings: Findings, judged: FittedRows) -> Verdict:
-    """Unexplained where predictions leave more than noise, and what was found explains hardly any
-    of it; no name is asked where nothing was left."""
-    given, found = judged.before.gap, judged.judge(findings.model).gap
-    if given <= LEFT or findings.verdict is Verdict.UNEXPLAINED:
-        return findings.verdict
-    explained = (given**2 - found**2) / (given**2 - 1.0)
-    nameless = not findings.effects and (found > LEFT or findings.possible)
-    if explained < LEAST_EXPLAINED or nameless:
-        return Verdict.UNEXPLAINED
-    return findings.verdict
-
-
-def _searched(
-    fit_on: Sequence[Flight],
-    model: Model,
-    judged: FittedRows | None,
-    own: Sequence[Variant],
-    report: Progress,
-) -> Findings:
-    """``find_effects`` without its verdict."""
     start = point_of(model)
     theirs = own_of(model)
     every_own = joined(theirs, own)
@@ -749,53 +624,43 @@ def _searched(
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
     known += theirs
     there = {v.effect for v in known}
-    vehicle = model_vehicle(model)
-    corner = in_plane_hz(vehicle, fit_on, there)
+    corner = in_plane_hz(model_vehicle(model), fit_on, there)
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
-    out = {*lost, *there}
-    candidates = [
-        v
-        for v in (*VARIANTS, *every_own)
-        if v.effect not in out and v.definition.role in CANDIDATES
-    ]
+    sought = (v for v in (*VARIANTS, *every_own) if v.definition.role in CANDIDATES)
+    candidates = [v for v in sought if v.effect not in {*lost, *there}]
     search = SearchState(problem, known, candidates, report)
-    given = tuple(key for variant in known for key in variant.keys)
-    tried = [*candidates, *(one for one in RENAMES if one not in known)]
 
     def model_at(point: Point) -> Model:
-        keys = (*given, *(key for one in tried for key in one.keys if key in point))
+        given = tuple(key for one in known for key in one.keys)
+        tried = (key for one in (*candidates, *search.renames) for key in one.keys)
+        keys = (*given, *(key for key in tried if key in point))
         return model_of(point, {}, keys, model, every_own)
 
     search_effects(search)
     if judged is not None:
         slow = to_follow(judged.of(model_at(search.now.point)))
-        search.judge = Judge(judged, model_at, slow)
-    outcome = with_sensor_lag(concluded(search), problem, search.folds)
-    warnings = _require_told(outcome, problem, given_constants)
+        if answer_to_predictions(search, Judge(judged, model_at, slow)):
+            search.residual = leftover(problem, search.now)
+    add_sensor_lag(search)
+    warnings = _require_told(search, given_constants)
     report("choosing again on resamples", 0.95)
-    final = outcome.final
-    told = [one.variant for one in outcome.accepted if {*final.keys}.issuperset(one.variant.sizes)]
+    final = search.now
+    told = [one.variant for one in search.accepted if {*final.keys}.issuperset(one.variant.sizes)]
     columns = [one for one in candidates if {*problem.every_key}.issuperset(one.sizes)]
-    others = asked_again(columns, outcome.refused, told)
+    others = asked_again(columns, search.refused, told)
     late = [one for one in columns if DELAY in one.keys and one not in (*told, *others)]
     blocks = last_blocks(problem, final, [*others, *late])
     recurrence = recurrences(blocks, final.point, told, others)
-    outcome.errors = with_differences(outcome.errors, blocks)
-    stated = _stated(outcome, blocks, problem, model)
-    found = conclude(outcome, stated, recurrence, problem, model, known, lost, warnings)
-    return with_imbalance(found, problem, final.point)
-
-
-def _stated(outcome: Outcome, blocks: Blocks, problem: Problem, model: Model) -> dict[str, float]:
-    """Standard errors by key, with what the flights leave open."""
-    flights = problem.flights
-    return with_unmeasured(
-        with_open_delay(outcome.errors, blocks, open_of(flights)),
-        outcome.final.point,
-        row_s=max(flight.period_s for flight in flights),
+    search.errors = with_differences(search.errors, blocks)
+    stated = with_unmeasured(
+        with_open_delay(search.errors, blocks, open_of(fit_on)),
+        final.point,
+        row_s=max(flight.period_s for flight in fit_on),
         is_weighed=model.vehicle_profile is not None,
-        motors_known=problem.known_motor or all(flight.rotor_measured for flight in flights),
+        motors_known=problem.known_motor or all(flight.rotor_measured for flight in fit_on),
     )
+    found = conclude(search, stated, recurrence, model, lost, warnings)
+    return with_imbalance(found, problem, final.point)
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:
@@ -814,13 +679,13 @@ def _lost(flights: Sequence[Flight]) -> dict[str, str]:
     }
 
 
-def _require_told(outcome: Outcome, problem: Problem, known: Prior) -> list[str]:
+def _require_told(search: SearchState, known: Prior) -> list[str]:
     """Refuse recordings without motion; what is only weak is returned as warnings.
 
     known: what the model says of its constants, which is no motion.
     """
-    names = ", ".join(sorted({f.run.name for f in problem.flights}))
-    first = outcome.first
+    names = ", ".join(sorted({f.run.name for f in search.problem.flights}))
+    first = search.first
     at = first.place(BASE_KEYS)
     normal = first.total.normal[np.ix_(at, at)]
     weight, _, _ = known.at(first.point)

@@ -3,35 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import CHANNELS, FURTHER_EVERY_S, AheadErrors
-from groundstation.dynamics.effect import Effect
-from groundstation.dynamics.model import Disturbance, EffectTerm, Estimate, Model
+from groundstation.dynamics.model import Disturbance, Estimate, Model
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.samples import filled
 
-# What a search for missing effects found: the dataclasses that reports and commands read.
+# What a search for missing effects found.
 #
 # ``find_discrepancy`` in ``engine.py`` makes it. Everything in it is plain numbers in the units of
-# the model file, so that a report needs no knowledge of how it was found.
+# the model file, so that a report needs no knowledge of how it was found; its parts are parts of
+# the report's JSON (``report_json.py``).
 
 
 class Verdict(StrEnum):
     """The outcome in one word, as in the report's JSON."""
 
     EFFECTS_FOUND = "effects_found"
-    """At least one named effect passed every test."""
+    """Effects are named, and with them predictions of proof samples err by no more than noise."""
+    FOUND_IN_PART = "found_in_part"
+    """Effects are named, and with them predictions still err by more than noise."""
     NO_DISCREPANCY = "no_discrepancy"
-    """Nothing is left to explain that these recordings could show."""
+    """Predictions err by no more than noise, with the constants that changed if any did."""
     UNEXPLAINED = "unexplained"
-    """Residuals are structured and no known effect fits them."""
+    """Predictions err by more than noise, and no effect in the list takes a tenth of that off."""
 
 
 class Reason(StrEnum):
@@ -88,52 +91,86 @@ class Alternative:
     share: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class FoundEffect:
+class Step(msgspec.Struct, frozen=True):
+    """The gap on proof samples, all channels, before and after an effect joined."""
+
+    before: float
+    after: float
+
+
+UNPROVEN = Step(math.nan, math.nan)
+
+
+class EffectFound(msgspec.Struct, frozen=True):
     """An accepted effect.
 
-    order: 1 for the first one accepted. parameters: by name, in the model file's units, from
-    the last joint fit. evidence: ``likelihood_ratio`` (drop of -2 log L when it joined), ``t``
-    (from scores summed over blocks of time), ``held_out`` (drop of -2 log L on flights that its
-    size was not taken from) and ``held_out_expected`` (of one that has the fitted size there);
-    ``over_others``: standard errors by which a rotor shakes more than the others together.
-    model: final constants, with the effects up to this one. recurrence: share of resamples that
-    choose it; NaN where none were drawn. adds: its law in words. gap_before, gap_after: of
-    predictions of proof samples over all channels; NaN until it is proven. weight: its share of
-    what all names explain there.
+    order: 1 for the first one accepted. adds: its law in words. parameters: by name, in the model
+    file's units, from the last joint fit. evidence: ``likelihood_ratio`` (drop of -2 log L when it
+    joined), ``t`` (from scores summed over blocks of time), ``held_out`` (drop of -2 log L on
+    flights that its size was not taken from) and ``held_out_expected`` (of one that has the fitted
+    size there); ``over_others``: standard errors by which a rotor shakes more than the others
+    together. gap: NaN until it is proven. weight: its share of what all names explain on proof
+    samples. recurrence: share of resamples of blocks of time and flights that choose it (None: none
+    drawn).
     """
 
     name: str
     order: int
+    adds: str
     parameters: dict[str, Estimate]
     evidence: dict[str, float]
     alternatives: tuple[Alternative, ...]
+    gap: Step
     channels: tuple[str, ...]
-    model: Model
-    recurrence: float = math.nan
-    adds: str = ""
-    gap_before: float = math.nan
-    gap_after: float = math.nan
-    weight: float = math.nan
-    refused: Refusal | None = None
+    weight: float | None = None
+    recurrence: float | None = None
+
+    @property
+    def gap_before(self) -> float:
+        return self.gap.before
+
+    @property
+    def gap_after(self) -> float:
+        return self.gap.after
+
+    def doubted(self, why: Refusal) -> PossibleEffect:
+        """The same, fitted along without a name."""
+        share = math.nan if self.recurrence is None else self.recurrence
+        reason = why.reason.value
+        return PossibleEffect(self.name, self.parameters, share, self.alternatives, reason)
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class PossibleEffect(msgspec.Struct, frozen=True):
+    """One that is fitted along and not named. reason: as ``refused_by`` of a candidate."""
+
+    name: str
+    parameters: dict[str, Estimate]
+    recurrence: float
+    alternatives: tuple[Alternative, ...]
+    reason: str = "not_recurrent"
+
+
+class Candidate(msgspec.Struct, frozen=True):
     """What came of one effect, accepted or not.
 
     score: drop of -2 log L when it alone joins the base (screening). t: its largest
     parameter over its standard error. held_out: drop of -2 log L on flights that its size was not
-    taken from, in the last round it took part in. refused: why it is not named, None where it is.
+    taken from, in the last round it took part in. reason: why it is not named, in words;
+    refused_by: the same as one of ``Reason``; both are empty where it is named or was not asked.
     """
 
     name: str
-    parameters: dict[str, Estimate]
     score: float
     t: float
     held_out: float
     accepted: bool
-    refused: Refusal | None = None
+    reason: str = ""
+    refused_by: str = ""
+
+    def refused(self, why: Refusal) -> Candidate:
+        return msgspec.structs.replace(
+            self, accepted=False, reason=why.words, refused_by=why.reason.value
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,64 +189,66 @@ class NotShown:
     manoeuvre: str
 
 
-@dataclass(frozen=True, slots=True)
-class BaseChange:
+class Changed(msgspec.Struct, frozen=True):
     """A constant of the given model that the search changed: name and unit as in the model file.
 
-    stderr: of the new value. percent: of the given one, None where that is zero. pushed: by how
-    many per cent the rotors, as modelled, push more at the same PWM; None: by as much.
+    stderr: of the new value, None where it is not known. percent: of the given one, None where that
+    is zero. words: the change, and what it may mean.
     """
 
     name: str
-    given: float
-    value: float
+    given: float = msgspec.field(name="from")
+    value: float = msgspec.field(name="to")
     stderr: float | None
     percent: float | None
-    pushed: float | None = None
+    words: str
 
 
-@dataclass(frozen=True, slots=True)
-class Leftover:
+class Leftover(msgspec.Struct, frozen=True):
     """What is left after the last accepted effect.
 
-    verdict: ``white`` or ``structured``. channel: the worst one. frequencies_hz: where its
-    residual rises above coloured noise. signal: the strongest generic signal in it, in words.
-    excess: residual over expected power of that channel where it is worst.
+    channel: the worst one, empty where all is white. frequencies_hz: where its residual rises above
+    coloured noise. signal: the strongest generic signal in it, in words. excess: residual over
+    expected power of that channel where it is worst.
     """
 
-    verdict: str
     channel: str = ""
     frequencies_hz: tuple[float, ...] = ()
     signal: str = ""
     excess: float = 1.0
+
+    @property
+    def verdict(self) -> Literal["white", "structured"]:
+        return "structured" if self.channel else "white"
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
     """The outcome of ``find_effects``.
 
-    effects: accepted, in order. possible: fitted along, and too doubtful to be named. base: the
-    model as it was given; given: the same with the disturbance that it leaves.
-    base_changes: constants of it that moved; those that these data cannot improve have not. moved:
-    the given model with these changes and with what is fitted and has no name. model: moved
-    constants and effects, fitted jointly, and the disturbance that is left. candidates: every
-    effect, strongest first. not_shown: excitation check. lost: effect name -> the channel that is
-    missing to show it. warnings: in words.
+    effects: accepted, in order; models: final constants, with the effects up to each. possible:
+    fitted along, and too doubtful to be named. base: the model as it was given; given: the same
+    with the disturbance that it leaves. base_changes: constants of it that moved; those that these
+    data cannot improve have not. moved: the given model with these changes and with what is fitted
+    and has no name. model: moved constants and effects, fitted jointly, and the disturbance that is
+    left. candidates: every effect, strongest first. not_shown: excitation check. lost: effect name
+    -> the channel that is missing to show it. warnings: in words.
     """
 
     verdict: Verdict
-    effects: tuple[FoundEffect, ...]
+    effects: tuple[EffectFound, ...]
+    models: tuple[Model, ...]
     base: Model
     given: Model
     moved: Model
     model: Model
-    base_changes: tuple[BaseChange, ...]
+    base_changes: tuple[Changed, ...]
     candidates: tuple[Candidate, ...]
     not_shown: tuple[NotShown, ...]
     lost: dict[str, str]
     residual: Leftover
     warnings: tuple[str, ...] = field(default=())
-    possible: tuple[FoundEffect, ...] = ()
+    possible: tuple[PossibleEffect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,35 +263,6 @@ class Predicted:
     @property
     def badness(self) -> tuple[float, float]:
         return sum(self.worse.values()), self.gap
-
-
-def with_last(
-    findings: Findings,
-    effect: Effect,
-    parameters: Mapping[str, Estimate],
-    evidence: dict[str, float],
-    channels: Iterable[int],
-) -> Findings:
-    """The findings with one effect more, the last, beside which all others stay as they are."""
-    known = dict(parameters)
-    effects = (*findings.model.effects, EffectTerm(effect.name, known))
-    model = msgspec.structs.replace(findings.model, effects=effects)
-    found = FoundEffect(
-        name=effect.name,
-        order=len(findings.effects) + 1,
-        parameters=known,
-        evidence=evidence,
-        alternatives=(),
-        channels=tuple(CHANNELS[c] for c in channels),
-        adds=effect.adds,
-        model=model,
-    )
-    return replace(
-        findings,
-        verdict=Verdict.EFFECTS_FOUND,
-        effects=(*findings.effects, found),
-        model=model,
-    )
 
 
 # The proof of a finding: gaps before and after on samples that decided nothing.
@@ -276,6 +286,8 @@ LEFT = 1.1
 whose RMS grows so many times beyond what it was and beyond noise is predicted worse whatever its
 blocks scatter: errors that all lie in one second (a model that believes it has left the ground)
 have no standard error, and whoever flies the model meets them."""
+LEAST_EXPLAINED = 0.1
+"""Of the given model's squared excess over noise: what explains less of it explains nothing."""
 FELL = 0.03
 """Of the gap on proof samples, the least by which it has to fall for anything to be called found:
 noise floors of two flights differ by as much."""
@@ -418,19 +430,17 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
     moved = bool(findings.base_changes) or findings.moved.effects != findings.base.effects
     if moved:
         steps.append((BASE, rows.of(findings.moved).beside(before)))
-    first, effects = steps[-1][1], []
-    for found in findings.effects:
-        gap = rows.of(found.model, after).beside(before)
-        effects.append(replace(found, gap_before=steps[-1][1], gap_after=gap))
-        steps.append((found.name, gap))
-    last = after.beside(before)
+    first, last, effects = steps[-1][1], after.beside(before), []
     whole = first**2 - last**2 if falls(first, last) else math.nan
-    weighed = [
-        replace(one, weight=(one.gap_before**2 - one.gap_after**2) / whole) for one in effects
-    ]
+    for found, model in zip(findings.effects, findings.models, strict=True):
+        gap = Step(steps[-1][1], rows.of(model, after).beside(before))
+        share = (gap.before**2 - gap.after**2) / whole
+        known = share if math.isfinite(share) else None
+        effects.append(msgspec.structs.replace(found, gap=gap, weight=known))
+        steps.append((found.name, gap.after))
     followed = rows.of(findings.given), rows.of(findings.model)
-    alone = rows.of(_only_named(findings)).beside(before) if moved else after.beside(before)
-    ends = before.gap, first, alone, after.beside(before), followed[1].beside(before)
+    alone = rows.of(_only_named(findings)).beside(before) if moved else last
+    ends = before.gap, first, alone, last, followed[1].beside(before)
     far = before.further(train.before.further().black_box)
     further = far, far.with_model(plain, FURTHER_EVERY_S)
     proof = Proof(
@@ -443,7 +453,35 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
         tuple(steps),
         explained_by(*ends) if falls(before.gap, last) else None,
     )
-    return replace(findings, effects=tuple(weighed)), proof
+    fitted = train.before.gap, proof.train_after.beside(train.before)
+    told = verdict_of(findings, fitted, (before.gap, last))
+    return replace(findings, verdict=told, effects=tuple(effects)), proof
+
+
+def verdict_of(
+    findings: Findings, fitted: tuple[float, float], proven: tuple[float, float]
+) -> Verdict:
+    """What came of a search, by its gaps (of the given and the improved model) on the samples that
+    were fitted and on those that decided nothing.
+
+    What is left unexplained on either is said, for a push that only one flight had is missing too.
+    """
+    if any(_nothing_explains(findings, given, found) for given, found in (fitted, proven)):
+        return Verdict.UNEXPLAINED
+    within = proven[1] <= LEFT  # not where nothing tells it
+    if not findings.effects:
+        return Verdict.NO_DISCREPANCY if within else Verdict.UNEXPLAINED
+    return Verdict.EFFECTS_FOUND if within else Verdict.FOUND_IN_PART
+
+
+def _nothing_explains(findings: Findings, given: float, found: float) -> bool:
+    """Whether more than noise is wrong, and what was found takes hardly any of it off or has no
+    name."""
+    if given <= LEFT:
+        return False
+    explained = (given**2 - found**2) / (given**2 - 1.0)
+    nameless = not findings.effects and (found > LEFT or bool(findings.possible))
+    return not explained >= LEAST_EXPLAINED or nameless
 
 
 def falls(before: float, after: float) -> bool:
@@ -465,30 +503,24 @@ def _upheld(findings: Findings, rows: Predictions, after: Comparison) -> Finding
         refused = {one.name: Refusal(Reason.WITHOUT_WEIGHT, words) for one in findings.effects}
     if not refused:
         return findings
-    doubted = [
-        replace(one, order=0, refused=refused[one.name])
-        for one in findings.effects
-        if one.name in refused
-    ]
+    doubted = [one.doubted(refused[one.name]) for one in findings.effects if one.name in refused]
     terms = {term.name: term for term in findings.model.effects}
     along = (*findings.moved.effects, *(terms[one.name] for one in doubted))
-    kept: list[FoundEffect] = []
+    kept: list[EffectFound] = []
+    models, named = [], along
     for one in findings.effects:
         if one.name not in refused:
-            named = (*(terms[other.name] for other in kept), terms[one.name])
-            model = msgspec.structs.replace(bare(findings.model), effects=(*along, *named))
-            kept.append(replace(one, order=len(kept) + 1, model=model))
-    verdict = findings.verdict
-    if verdict is Verdict.EFFECTS_FOUND and not kept:
-        verdict = Verdict.UNEXPLAINED if rows.before.gap > LEFT else Verdict.NO_DISCREPANCY
+            named = (*named, terms[one.name])
+            models.append(msgspec.structs.replace(bare(findings.model), effects=named))
+            kept.append(msgspec.structs.replace(one, order=len(models)))
     return replace(
         findings,
-        verdict=verdict,
         effects=tuple(kept),
+        models=tuple(models),
         possible=(*findings.possible, *doubted),
         moved=msgspec.structs.replace(findings.moved, effects=along),
         candidates=tuple(
-            replace(one, accepted=False, refused=refused[one.name]) if one.name in refused else one
+            one.refused(refused[one.name]) if one.name in refused else one
             for one in findings.candidates
         ),
     )
@@ -562,12 +594,12 @@ def worse_channels(before: Comparison, after: Comparison) -> dict[int, float]:
     growth = after.rms > (1.0 + LEAST_SHARE) * before.rms
     anyhow = after.rms > LEFT * np.maximum(before.rms, before.noise_floor)
     lost = np.isfinite(before.rms) & ~np.isfinite(after.rms)
-    blocks = np.concatenate(
-        [_block_sums(one, other) for one, other in zip(before.errors, after.errors, strict=True)]
-    )
+    pairs = zip(before.errors, after.errors, strict=True)
+    blocks = [_squares_by_blocks(other) - _squares_by_blocks(one) for one, other in pairs]
+    grown = np.concatenate(blocks)
     found = dict.fromkeys(np.flatnonzero(lost).tolist(), math.inf)
     for channel in np.flatnonzero(growth).tolist():
-        sums = blocks[np.isfinite(blocks[:, channel]), channel]
+        sums = grown[np.isfinite(grown[:, channel]), channel]
         t = 0.0
         if len(sums) >= LEAST_BLOCKS:
             t = float(sums.mean() / max(sums.std(ddof=1) / np.sqrt(len(sums)), 1e-300))
@@ -609,12 +641,6 @@ def _band_power(values: Array, period_s: float) -> Array:
     hz = np.fft.rfftfreq(len(rows), period_s)
     place = np.clip(np.searchsorted(BANDS_HZ, hz, side="right") - 1, 0, len(BANDS_HZ) - 2)
     return np.asarray(np.bincount(place, power, len(BANDS_HZ) - 1), np.float64)
-
-
-def _block_sums(before: AheadErrors, after: AheadErrors) -> Array:
-    """Growth of the squared error over both horizons, summed over blocks of time, (blocks, 9); NaN
-    where nothing was judged."""
-    return _squares_by_blocks(after) - _squares_by_blocks(before)
 
 
 def _squares_by_blocks(errors: AheadErrors) -> Array:

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from groundstation.discrepancy.acceptance import DROP_PER_PARAMETER, LEAST_DROP, plausible
-from groundstation.discrepancy.proof import Reason, Refusal
+from groundstation.discrepancy.proof import Alternative, Reason, Refusal
 from groundstation.discrepancy.screening import UNDETERMINED
+from groundstation.dynamics.effect import Effect
 from groundstation.identification.estimate import inverse
+from groundstation.identification.likelihood.linear import Linear
 from groundstation.identification.likelihood.motion import KEYS, VARIANTS, Point, Variant, absent
-from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.spectra import Linear, white_rows
+from groundstation.identification.likelihood.problem import Fit, Problem, white_rows
 from groundstation.telemetry.arrays import Array
 
 # The likelihood of a last fit by blocks of time: one Gram matrix each, of which resamples, flights
@@ -360,21 +361,11 @@ oftener it stood there than beside the name."""
 
 
 @dataclass(frozen=True, slots=True)
-class Instead:
-    """Another name. margin: how much less it explains in a name's place, in penalised -2 log L;
-    share: of resamples in which it was chosen and the name was not."""
-
-    name: str
-    margin: float
-    share: float
-
-
-@dataclass(frozen=True, slots=True)
 class Recurrence:
     """share: of resamples in which a name was chosen; instead: what stands for it, likely first."""
 
     share: float
-    instead: tuple[Instead, ...] = ()
+    instead: tuple[Alternative, ...] = ()
 
 
 def asked_again(
@@ -423,7 +414,7 @@ def recurrences(
 
 def _alternatives(
     variants: Sequence[Variant], number: int, margins: Array, chosen: NDArray[np.bool_]
-) -> tuple[Instead, ...]:
+) -> tuple[Alternative, ...]:
     """By name, the likely first; none of the name itself, of another rotor say.
 
     margins: (v,) by which each variant is worth less in the name's place, beyond what it is worth
@@ -432,7 +423,7 @@ def _alternatives(
     there = chosen[:, number]
     stood = chosen[~there].sum(axis=0)
     rate, usual = stood / max(np.sum(~there), 1), chosen[there].sum(axis=0) / max(there.sum(), 1)
-    found: dict[str, Instead] = {}
+    found: dict[str, Alternative] = {}
     for other, one in enumerate(variants):
         share, margin, name = float(stood[other]) / len(chosen), float(margins[other]), one.effect
         if not np.isfinite(margin) or name == variants[number].effect:
@@ -440,5 +431,13 @@ def _alternatives(
         if margin < RIVAL or (share >= INSTEAD and rate[other] > OFTENER * usual[other]):
             before = found.get(name)
             if before is None or (share, -margin) > (before.share, -before.margin):
-                found[name] = Instead(name, margin, share)
+                fly = _manoeuvre(variants[number].definition, one.definition)
+                found[name] = Alternative(name, margin, fly, share)
     return tuple(sorted(found.values(), key=lambda one: (-one.share, one.margin)))
+
+
+def _manoeuvre(one: Effect, two: Effect) -> str:
+    """What separates two effects, from the catalogue, whichever of the two knows it."""
+    known = [c.manoeuvre for c in one.confused_with if c.other == two.name]
+    known += [c.manoeuvre for c in two.confused_with if c.other == one.name]
+    return known[0] if known else two.excited_by

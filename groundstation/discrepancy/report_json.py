@@ -1,4 +1,5 @@
-"""The reports as data: what ``discrepancy --json`` and ``compare --json`` write."""
+"""The reports as data: what ``discrepancy --json`` and ``compare --json`` write, with the
+sentences that stand in it."""
 
 from __future__ import annotations
 
@@ -10,23 +11,25 @@ import numpy as np
 from groundstation.comparison.comparison import Comparison, Place
 from groundstation.comparison.gap import CHANNELS, HORIZONS_S, PER_SI, UNITS, overall
 from groundstation.comparison.noise_floor import SOURCE
-from groundstation.discrepancy.acceptance import WORTH, in_words
+from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.proof import (
     LEFT,
-    Alternative,
     Candidate,
+    Changed,
     Explained,
     Findings,
-    FoundEffect,
     Left,
+    Leftover,
     NotShown,
     Proof,
     Reason,
     what_is_left,
 )
+from groundstation.discrepancy.proof import EffectFound as EffectFound
+from groundstation.discrepancy.proof import PossibleEffect as PossibleEffect
 from groundstation.dynamics.meanings import suitability, verdict
-from groundstation.dynamics.model import Disturbance, Estimate
+from groundstation.dynamics.model import Disturbance
 
 WORST = 10
 UNIT = "RMS prediction error 20 and 50 ms ahead over the noise floor (1.0: nothing left to explain)"
@@ -88,73 +91,6 @@ class Gap(msgspec.Struct, frozen=True):
         }
 
 
-class Step(msgspec.Struct, frozen=True):
-    """The gap on proof samples, all channels, before and after an effect joined."""
-
-    before: float
-    after: float
-
-
-class EffectFound(msgspec.Struct, frozen=True):
-    """One accepted effect. weight: its share of what all of them explain on proof samples;
-    recurrence: share of resamples of blocks of time and flights that choose it (null: none drawn).
-    """
-
-    name: str
-    order: int
-    adds: str
-    parameters: dict[str, Estimate]
-    evidence: dict[str, float]
-    alternatives: list[Alternative]
-    gap: Step
-    channels: list[str]
-    weight: float | None = None
-    recurrence: float | None = None
-
-
-class PossibleEffect(msgspec.Struct, frozen=True):
-    """One that is fitted along and not named. reason: as of a candidate."""
-
-    name: str
-    parameters: dict[str, Estimate]
-    recurrence: float
-    alternatives: list[Alternative]
-    reason: str = "not_recurrent"
-
-
-class Changed(msgspec.Struct, frozen=True):
-    """A constant of the given model that the search changed; null: zero before, or not known."""
-
-    name: str
-    given: float = msgspec.field(name="from")
-    value: float = msgspec.field(name="to")
-    stderr: float | None
-    percent: float | None
-    words: str
-
-
-class CandidateTried(msgspec.Struct, frozen=True):
-    """What came of one name. reason: why it is not named, in words; refused_by: the same as one
-    of ``findings.Reason``, empty where it is named or nothing was asked of it."""
-
-    name: str
-    score: float
-    t: float
-    held_out: float
-    accepted: bool
-    reason: str
-    refused_by: str = ""
-
-
-class ResidualDetail(msgspec.Struct, frozen=True):
-    """What is left after the last accepted effect."""
-
-    channel: str
-    frequencies_hz: list[float]
-    signal: str
-    excess: float
-
-
 class CompareReport(msgspec.Struct, frozen=True):
     """``compare --json``. good_for: the verdict on the model, empty where no fit of it is known."""
 
@@ -169,16 +105,16 @@ class CompareReport(msgspec.Struct, frozen=True):
 class DiscrepancyReport(msgspec.Struct, frozen=True):
     """``discrepancy --json``. good_for: the verdict on the model that was found."""
 
-    verdict: Literal["effects_found", "no_discrepancy", "unexplained"]
+    verdict: Literal["effects_found", "found_in_part", "no_discrepancy", "unexplained"]
     effects: list[EffectFound]
     base_changes: list[Changed]
     where: list[Place]
     where_after: list[Place]
     gap: Gap
     residual: Literal["white", "structured"]
-    residual_detail: ResidualDetail
+    residual_detail: Leftover
     left: list[Left]
-    candidates: list[CandidateTried]
+    candidates: list[Candidate]
     not_shown: list[NotShown]
     lost: dict[str, str]
     warnings: list[str]
@@ -271,7 +207,6 @@ def discrepancy_report(
 ) -> DiscrepancyReport:
     """The whole report on a search. validation: files, or how rows were held out."""
     findings, proof = found.findings, found.proof
-    left = findings.residual
     gap = gap_of(
         proof.before,
         proof.further,
@@ -285,40 +220,18 @@ def discrepancy_report(
         good_for=verdict(suitability(msgspec.structs.replace(findings.model, fit=account))),
         explained=proof.explained,
         disturbance=findings.model.disturbance,
-        effects=[_effect_found(one) for one in findings.effects],
-        possible=[
-            PossibleEffect(
-                one.name,
-                one.parameters,
-                one.recurrence,
-                list(one.alternatives),
-                one.refused.reason.value if one.refused else "",
-            )
-            for one in findings.possible
-        ],
-        base_changes=[
-            Changed(c.name, c.given, c.value, c.stderr, c.percent, in_words(c))
-            for c in findings.base_changes
-        ],
+        effects=list(findings.effects),
+        possible=list(findings.possible),
+        base_changes=list(findings.base_changes),
         where=proof.before.places,
         where_after=proof.after.places[:WORST],
         gap=gap,
-        residual="white" if left.verdict == "white" else "structured",
-        residual_detail=ResidualDetail(
-            left.channel, list(left.frequencies_hz), left.signal, left.excess
-        ),
+        residual=findings.residual.verdict,
+        residual_detail=findings.residual,
         left=what_is_left(proof.after),
         candidates=[
-            CandidateTried(
-                c.name,
-                c.score,
-                c.t,
-                c.held_out,
-                c.accepted,
-                _reason(c, findings),
-                "" if c.refused is None else c.refused.reason.value,
-            )
-            for c in sorted(findings.candidates, key=lambda c: -c.score)
+            msgspec.structs.replace(one, reason=_reason(one, findings))
+            for one in sorted(findings.candidates, key=lambda one: -one.score)
         ],
         not_shown=list(findings.not_shown),
         lost=dict(findings.lost),
@@ -330,30 +243,14 @@ def discrepancy_report(
     )
 
 
-def _effect_found(one: FoundEffect) -> EffectFound:
-    return EffectFound(
-        one.name,
-        one.order,
-        one.adds,
-        one.parameters,
-        one.evidence,
-        list(one.alternatives),
-        Step(one.gap_before, one.gap_after),
-        list(one.channels),
-        one.weight if np.isfinite(one.weight) else None,
-        one.recurrence if np.isfinite(one.recurrence) else None,
-    )
-
-
 def _reason(candidate: Candidate, findings: Findings) -> str:
     """Why it was refused. What alone explains much may only have looked like what was found."""
-    why = candidate.refused
-    if why is None:
+    if not candidate.refused_by:
         return "" if candidate.accepted else "another form of it is named"
     taken = ", ".join(effect.name for effect in findings.effects[:2])
     more = " and others" if len(findings.effects) > 2 else ""
-    shared = why.reason is Reason.WEAK and candidate.score > WORTH and taken
-    return f"nothing is left for it beside {taken}{more}" if shared else why.words
+    shared = candidate.refused_by == Reason.WEAK and candidate.score > WORTH and taken
+    return f"nothing is left for it beside {taken}{more}" if shared else candidate.reason
 
 
 def why_lost(reason: str) -> str:

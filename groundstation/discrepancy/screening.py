@@ -16,10 +16,11 @@ from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.proof import Leftover
 from groundstation.dynamics.effect import Key
 from groundstation.errors import BadInputError
-from groundstation.identification.body.setup import unseen_delay_s
+from groundstation.identification.body_setup import unseen_delay_s
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import LEAK_S, LEANING_LEAK_S, Flight, prepare
 from groundstation.identification.likelihood.evaluation import generic_signals
+from groundstation.identification.likelihood.linear import Linear, Spectrum, transform_channel
 from groundstation.identification.likelihood.motion import (
     BODY_KEYS,
     KEYS,
@@ -30,15 +31,15 @@ from groundstation.identification.likelihood.motion import (
     spin_rotors,
     value,
 )
-from groundstation.identification.likelihood.problem import BASE_KEYS, Fit, Problem, bounded
-from groundstation.identification.likelihood.spectra import (
-    Linear,
+from groundstation.identification.likelihood.problem import (
+    BASE_KEYS,
+    Fit,
     Noise,
+    Problem,
     Quadratic,
-    Spectrum,
     beside_lasting,
+    bounded,
     quadratic,
-    transform_channel,
     white_rows,
 )
 from groundstation.telemetry.arrays import Array
@@ -90,10 +91,6 @@ class Screening:
 
     def place(self, keys: Sequence[str]) -> list[int]:
         return [self.keys.index(key) for key in keys]
-
-    def best(self) -> Array:
-        """The change (p,) of every unknown to the joint optimum."""
-        return inverse(self.total.normal) @ self.total.gradient
 
     def covariance(self, keys: Sequence[str]) -> Array:
         """Of ``keys`` fitted jointly, (k, k)."""
@@ -206,25 +203,28 @@ def tried(
 ) -> list[list[tuple[Scored, Point]]]:
     """What absent variants would explain beside a fit of ``keys``, and at which values of the shape
     of which several are tried; nothing of variants without such a shape."""
-    found = []
-    for variant in variants:
-        shape = variant.tried
-        if shape is None:
-            continue
-        probes = [_probe(variant, shape, number) for number in shape.parameter.tried]
-        wide = copy(problem)
-        wide.frame = replace(problem.frame, own=(*problem.frame.own, *probes))
-        sizes = (key for one in probes for key in one.sizes)
-        linear = wide.linear(point, (*keys, *sizes), problem.flights)
-        seen = Screening(linear.point, linear.keys, wide.with_prior(linear))
-        found.append(
-            [
-                (replace(seen.scores(keys, [one])[0], variant=variant), {shape.key: key.absent})
-                for one in probes
-                if (key := one.tried)
-            ]
-        )
-    return found
+    probes = {
+        variant.label: [_probe(variant, shape, number) for number in shape.parameter.tried]
+        for variant in variants
+        if (shape := variant.tried) is not None
+    }
+    every = [one for some in probes.values() for one in some]
+    if not every:
+        return []
+    wide = copy(problem)
+    wide.frame = replace(problem.frame, own=(*problem.frame.own, *every))
+    sizes = (key for one in every for key in one.sizes)
+    linear = wide.linear(point, (*keys, *sizes), problem.flights)
+    seen = Screening(linear.point, linear.keys, wide.with_prior(linear))
+    return [
+        [
+            (replace(seen.scores(keys, [one])[0], variant=variant), {variant.tried.key: key.absent})
+            for one in probes[variant.label]
+            if (key := one.tried) is not None
+        ]
+        for variant in variants
+        if variant.tried is not None
+    ]
 
 
 def _probe(variant: Variant, shape: Key, number: float) -> Variant:
@@ -310,11 +310,15 @@ BANDS_AN_OCTAVE = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """drop: of -2 log L in the fit, the prior included; held_out: of that of flights that its size
+    """What speaks for an effect of a joint fit, which is at ``point``.
+
+    drop: of -2 log L in the fit, the prior included; held_out: of that of flights that its size
     was not taken from, each left out once, expected: what it is there for an effect of the fitted
     size. t: by blocks. channels: that it touches. beyond: what it does (drop of -2 log L) more
     than settings of the motors that no row shows can do; infinite where rows show all of them."""
 
+    variant: Variant
+    point: Point
     drop: float
     held_out: float
     expected: float
@@ -331,18 +335,20 @@ def gather(
     linear = problem.linear(fit.point, fit.keys, problem.flights)
     alike = all(one is other for one, other in zip(folds, problem.flights, strict=False))
     there = linear if alike else problem.linear(fit.point, fit.keys, folds)
-    covariance = inverse(problem.with_prior(linear).normal)
+    whole = problem.with_prior(linear)
+    covariance = inverse(whole.normal)
+    parts = Parts.of(problem, there) if folds else None
     found = []
     for variant in variants:
         sizes = sizes_at(variant, fit.point)
         drop = cost_without(variant, fit.point, linear.keys, covariance)
         held, expected = drop, drop
-        if folds:
-            held, expected = cross_validated(problem, there, variant.keys, sizes)
-        effect = separated(problem, linear, variant)
-        t, channels = by_blocks(problem, effect), touched(problem, linear, variant)
-        beyond = beyond_unseen(problem, effect)
-        found.append(Evidence(drop, held, expected, t, channels, beyond))
+        if parts is not None:
+            held, expected = cross_validated(there, parts, variant.keys, sizes)
+        alone = separated(linear, whole, variant)
+        t, beyond = by_blocks(problem, linear, alone), beyond_unseen(problem, linear, alone)
+        channels = touched(problem, linear, variant)
+        found.append(Evidence(variant, fit.point, drop, held, expected, t, channels, beyond))
     return found
 
 
@@ -361,8 +367,28 @@ def folds_of(flights: Sequence[Flight]) -> list[Flight]:
     return found if len(found) > 1 else []
 
 
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """-2 log L around a linearisation: the prior's part, the whole, and that of each flight without
+    the prior."""
+
+    prior: Quadratic
+    whole: Quadratic
+    flights: list[Quadratic]
+
+    @classmethod
+    def of(cls, problem: Problem, linear: Linear) -> Parts:
+        flights = []
+        for number in sorted({s.flight for s in linear.spectra}):
+            spectra = [s for s in linear.spectra if s.flight == number]
+            verticals = [row for row in linear.verticals if row.flight == number]
+            flights.append(quadratic(spectra, problem.noise, verticals, len(linear.keys)))
+        prior = problem.with_prior(replace(linear, spectra=[], verticals=[]))
+        return cls(prior, problem.with_prior(linear), flights)
+
+
 def cross_validated(
-    problem: Problem, linear: Linear, keys: Sequence[str], sizes: Array
+    linear: Linear, parts: Parts, keys: Sequence[str], sizes: Array
 ) -> tuple[float, float]:
     """(what -2 log L of each flight of ``linear`` falls by, summed, where ``keys`` are what the
     other flights say, beside where they are absent; what it would fall by, were the fitted sizes
@@ -375,13 +401,9 @@ def cross_validated(
     own = linear.place(keys[: len(sizes)])
     rest = [i for i, key in enumerate(linear.keys) if key not in keys]
     told = [*own, *rest]
-    prior = problem.with_prior(replace(linear, spectra=[], verticals=[]))
-    whole = problem.with_prior(linear)
+    prior, whole = parts.prior, parts.whole
     held = expected = 0.0
-    for number in sorted({s.flight for s in linear.spectra}):
-        spectra = [s for s in linear.spectra if s.flight == number]
-        verticals = [row for row in linear.verticals if row.flight == number]
-        one = quadratic(spectra, problem.noise, verticals, len(linear.keys))
+    for one in parts.flights:
         left, pushed = whole.normal - one.normal, whole.gradient - one.gradient
         others = (inverse(left[np.ix_(told, told)]) @ pushed[told])[: len(own)]
         normal, gradient = one.normal + prior.normal, one.gradient + prior.gradient
@@ -410,26 +432,21 @@ def touched(problem: Problem, linear: Linear, variant: Variant) -> tuple[int, ..
     return tuple(sorted(c for c, p in power.items() if p > TOUCHED * most))
 
 
-@dataclass(frozen=True, slots=True)
-class Separated:
-    """An effect as one column, whose coefficient is 1 in the joint fit, without what the other
-    unknowns can imitate of it.
-
-    linear: of the joint fit. weights: (p,) of all its columns, which make them that one.
-    """
-
-    linear: Linear
-    weights: Array
-
-
-def separated(problem: Problem, linear: Linear, variant: Variant) -> Separated:
-    """An effect of a joint fit, apart from the rest of it."""
-    return Separated(linear, _alone(problem, linear, variant))
+def separated(linear: Linear, whole: Quadratic, variant: Variant) -> Array:
+    """Weights (p,) of the columns of a joint fit that make an effect one column, whose coefficient
+    is 1, without what the other unknowns can imitate of it. whole: -2 log L around it."""
+    own = linear.place(variant.sizes)
+    rest = [i for i, key in enumerate(linear.keys) if key not in variant.keys]
+    sizes = sizes_at(variant, linear.point)
+    weights = np.zeros(len(linear.keys))
+    weights[own] = sizes
+    normal = whole.normal
+    weights[rest] = -inverse(normal[np.ix_(rest, rest)]) @ (normal[np.ix_(rest, own)] @ sizes)
+    return weights
 
 
-def by_blocks(problem: Problem, effect: Separated) -> float:
-    """t of the whole effect from scores by blocks of time."""
-    linear, weights = effect.linear, effect.weights
+def by_blocks(problem: Problem, linear: Linear, weights: Array) -> float:
+    """t of a whole effect (``separated``) from scores by blocks of time."""
     information, variance = 0.0, 0.0
     scores: dict[int, list[Array]] = {}
     for s in linear.spectra:
@@ -438,7 +455,7 @@ def by_blocks(problem: Problem, effect: Separated) -> float:
         column = weights[s.place] @ s.columns
         scale = s.weight / problem.noise[s.channel].at(s.hz)
         information += float((scale * column**2).sum())
-        scores.setdefault(s.flight, []).append(_block_scores(s, column, problem, s.channel))
+        scores.setdefault(s.flight, []).append(_block_scores(s, column, problem.noise[s.channel]))
     for pieces in scores.values():
         blocks = min(len(p) for p in pieces)
         summed = np.sum([p[:blocks] for p in pieces], axis=0)
@@ -449,12 +466,11 @@ def by_blocks(problem: Problem, effect: Separated) -> float:
     return information / max(variance, information) ** 0.5
 
 
-def beyond_unseen(problem: Problem, effect: Separated) -> float:
+def beyond_unseen(problem: Problem, linear: Linear, weights: Array) -> float:
     """``Evidence.beyond``: summed over flights, channels and bands."""
     unseen = [0.0 if f.rotor_measured else unseen_delay_s(f.run) for f in problem.flights]
     if not any(unseen):
         return math.inf
-    linear, weights = effect.linear, effect.weights
     torque = np.array([value(linear.point, k) if k in BODY_KEYS else 0.0 for k in linear.keys])
     return sum(
         power_beyond(
@@ -481,22 +497,8 @@ def power_beyond(effect: Array, answer: Array, s: Spectrum, noise: Noise, late_s
     return float(np.maximum(own - can_be, 0.0).sum())
 
 
-def _alone(problem: Problem, linear: Linear, variant: Variant) -> Array:
-    """Weights (p,) of the columns that make an effect one column, without what the other unknowns
-    can imitate of it."""
-    own = linear.place(variant.sizes)
-    rest = [i for i, key in enumerate(linear.keys) if key not in variant.keys]
-    sizes = sizes_at(variant, linear.point)
-    weights = np.zeros(len(linear.keys))
-    weights[own] = sizes
-    normal = problem.with_prior(linear).normal
-    weights[rest] = -inverse(normal[np.ix_(rest, rest)]) @ (normal[np.ix_(rest, own)] @ sizes)
-    return weights
-
-
-def _block_scores(s: Spectrum, column: Array, problem: Problem, channel: int) -> Array:
+def _block_scores(s: Spectrum, column: Array, noise: Noise) -> Array:
     """Scores of whitened rows, summed over blocks of a second."""
-    noise = problem.noise[channel]
     rows = white_rows(s, noise, column) * white_rows(s, noise, s.residual)
     rows *= 0.5 * float(s.weight.sum())
     step = 1.0 / (2.0 * s.hz[-1])
@@ -545,7 +547,7 @@ def leftover(problem: Problem, fit: Fit) -> Leftover:
     linear = problem.linear(fit.point, reckoned, problem.flights)
     peaks = rises(linear, [excused(s, linear, problem.frame) for s in linear.spectra])
     if not signals and not peaks:
-        return Leftover("white")
+        return Leftover()
     by_channel: dict[int, float] = {}
     for signal in signals:
         by_channel[signal.channel] = max(by_channel.get(signal.channel, 0.0), signal.drop)
@@ -566,7 +568,6 @@ def leftover(problem: Problem, fit: Fit) -> Leftover:
     elif mine and not words:
         words = "an oscillation that no recorded signal goes with"
     return Leftover(
-        "structured",
         CHANNELS[worst],
         tuple(round(hz, 2) for hz in _apart([p[1] for p in mine])[:5]),
         words,
@@ -579,22 +580,21 @@ def scan(problem: Problem, fit: Fit) -> list[Signal]:
 
     What the fitted unknowns can imitate is taken out by fitting them along, channel by channel.
     """
-    every = _with_signals(problem, fit, problem.flights)
-    found = []
-    channels = sorted({s.channel for s in every[0].spectra})
-    for channel in channels:
-        own = [s for s in every[0].spectra if s.channel == channel]
-        known = len(fit.keys)
-        normal, gradient = _sums(problem, own, known + len(every[1]))
-        inner = inverse(normal[:known, :known] + np.diag(_floor(normal, known)))
+    linear, names = _with_signals(problem, fit, problem.flights)
+    found, known = [], len(fit.keys)
+    for channel in sorted({s.channel for s in linear.spectra}):
+        own = [s for s in linear.spectra if s.channel == channel]
+        normal, gradient = _sums(problem, own, known + len(names))
+        # A little of the diagonal, for unknowns that one channel alone does not show.
+        diagonal = np.diag(normal)[:known]
+        little = np.where(diagonal > 0, 1e-9 * diagonal, 1.0)
+        inner = inverse(normal[:known, :known] + np.diag(little))
         cross = normal[known:, :known]
         left = np.diag(normal)[known:] - np.einsum("ij,jk,ik->i", cross, inner, cross)
         slope = gradient[known:] - cross @ (inner @ gradient[:known])
         alive = left > 1e-6 * np.maximum(np.diag(normal)[known:], 1e-300)
         drops = np.where(alive, slope**2 / np.where(alive, left, 1.0), 0.0)
-        found += [
-            Signal(channel, words, float(drop)) for words, drop in zip(every[1], drops, strict=True)
-        ]
+        found += [Signal(channel, *one) for one in zip(names, drops.tolist(), strict=True)]
     return sorted(found, key=lambda s: -s.drop)
 
 
@@ -703,9 +703,3 @@ def _sums(problem: Problem, spectra: Sequence[Spectrum], count: int) -> tuple[Ar
         normal[np.ix_(s.place, s.place)] += white @ white.T
         gradient[s.place] += white @ (s.residual * root)
     return normal, gradient
-
-
-def _floor(normal: Array, known: int) -> Array:
-    """A little of the diagonal, for unknowns that one channel alone does not show."""
-    diagonal = np.diag(normal)[:known]
-    return np.where(diagonal > 0, 1e-9 * diagonal, 1.0)

@@ -3,24 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
 
+from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import CHANNELS
 from groundstation.discrepancy.acceptance import (
+    JOINED,
+    NAMED,
+    SCREENED,
     TOUCHES,
+    WEIGHED,
     Group,
-    Stage,
-    Trial,
+    Last,
     groups,
     not_improved,
     plausible,
     refusal,
     unconfirmed,
 )
-from groundstation.discrepancy.proof import Leftover, Predicted, Reason, Refusal, Weight
+from groundstation.discrepancy.disturbances import (
+    Slow,
+    best_followed,
+    slow_part,
+    with_term,
+)
+from groundstation.discrepancy.proof import (
+    LEFT,
+    FittedRows,
+    Leftover,
+    Predicted,
+    Reason,
+    Refusal,
+    Weight,
+    weight,
+)
 from groundstation.discrepancy.screening import (
     PENALTY,
     Evidence,
@@ -37,8 +55,82 @@ from groundstation.discrepancy.screening import (
     without,
 )
 from groundstation.dynamics.effect import CANDIDATES
+from groundstation.dynamics.model import Model
 from groundstation.identification.likelihood.motion import RENAMES, Point, Variant, absent
 from groundstation.identification.likelihood.problem import STEPS, Fit, Problem
+
+# How a search judges what it found by predictions.
+#
+# What drifts slowly is in every prediction and belongs to no effect of a search: beside it one that
+# is right may seem to predict worse. So it is followed where effects are weighed. Whether it has a
+# name is asked of the final model (``slow_disturbance``), and so is whether that predicts worse.
+
+
+CLEARLY_T = 2.0
+"""Standard errors by which a channel is worse beside what is followed. There one is no reason: how
+much of a channel the follower takes depends on the model a little, and that the given model as it
+is predicts nothing better is asked of the final one."""
+
+
+class Judge:
+    """Fitted rows as the model at a point predicts them, beside what the given model says; the
+    observer follows what is ``slow`` in both alike, where it is given."""
+
+    def __init__(
+        self, fitted: FittedRows, model_at: Callable[[Point], Model], slow: Slow | None = None
+    ) -> None:
+        self._given, self._model_at, self._slow = fitted, model_at, slow
+        given = fitted.before.model
+        self._beside = FittedRows(fitted.of(with_term(given, slow))) if slow else fitted
+
+    def __call__(self, point: Point) -> Predicted:
+        model = self._model_at(point)
+        if self._slow is None:
+            return self._given.judge(model)
+        found = self._beside.judge(with_term(model, self._slow))
+        if not found.worse:
+            return found
+        # A channel that is predicted better where nothing is followed is no witness, nor is one
+        # within noise that hardly changes.
+        better = self._given.of(model).rms < self._given.before.rms
+        before = self._beside.before
+        hardly = LEFT * before.rms / before.noise_floor
+        worse = {
+            channel: t
+            for channel, t in found.worse.items()
+            if t >= CLEARLY_T
+            and not better[channel]
+            and not found.gaps[channel] <= min(1.0, hardly[channel])
+        }
+        return replace(found, worse=worse)
+
+    def weights(self, point: Point, accepted: Sequence[Evidence]) -> dict[str, Weight]:
+        """What each of these effects carries, by label; none of those that touch only channels in
+        which nothing is left to explain."""
+        improved, found = self._model(point), {}
+        near = self._beside.of(improved)
+        now = self._beside.squares(improved)
+        for one in accepted:
+            left = self._beside.squares(self._model(without(point, one.variant)), near)
+            carried = weight(self._given.before.gap, now, left, one.channels)
+            if carried is not None:
+                found[one.variant.label] = carried
+        return found
+
+    def _model(self, point: Point) -> Model:
+        """With what is slow."""
+        model = self._model_at(point)
+        return model if self._slow is None else with_term(model, self._slow)
+
+
+def to_follow(fitted: Comparison) -> Slow | None:
+    """What a model leaves of fitted rows that lasts, as predictions are best; None: nothing does,
+    or the model says of itself what is slow."""
+    if fitted.model.disturbance is not None:
+        return None
+    slow = slow_part(fitted.errors)
+    return best_followed(slow, fitted) if slow.is_there else None
+
 
 # What a search has come to: the effects that joined, those that did not and why, the joint fit.
 
@@ -47,22 +139,6 @@ Progress = Callable[[str, float], None]
 
 ROUGHLY = 0.5
 """Drop of -2 log L at which a joint fit of a candidate ends."""
-
-
-@dataclass(slots=True)
-class Accepted:
-    """An effect that joined."""
-
-    variant: Variant
-    evidence: Evidence
-
-
-class Judge(Protocol):
-    """What predictions of fitted samples say (``judge.Judge``)."""
-
-    def __call__(self, point: Point) -> Predicted: ...
-
-    def weights(self, point: Point, accepted: Sequence[Accepted]) -> dict[str, Weight]: ...
 
 
 class SearchState:
@@ -78,8 +154,7 @@ class SearchState:
         """known: effects of the model, fitted along and never dropped. What the firmware does on
         board is not fitted: its numbers are known, and beside what is missing they would bend."""
         self.problem, self.folds, self.progress = problem, folds_of(problem.flights), progress
-        self.judge: Judge | None = None
-        self.candidates = list(candidates)
+        self.known, self.candidates = known, list(candidates)
         fixed = [one for one in known if one.definition.role not in CANDIDATES]
         free = [variant for variant in known if variant not in fixed]
         held = (key for one in fixed for key in one.keys if key not in problem.base_keys)
@@ -92,15 +167,19 @@ class SearchState:
         """Of flights beside the effects of these names; beside others, as far as ``trim``."""
         self.held: set[str] = set()
         self.errors: dict[str, float] = {}
-        self.accepted: list[Accepted] = []
+        """Standard errors by key, everything being free."""
+        self.accepted: list[Evidence] = []
         self.refused: dict[str, Refusal] = {}
+        """By label, why a variant is not named."""
         self.held_out: dict[str, float] = {}
+        """By label, the drop of -2 log L on flights left out when it was weighed last."""
         self.weights: dict[str, Weight] = {}
+        """By label, what an effect carries."""
         self.banned: set[str] = set()
         self.shapes: Point = {}
         """Of effects with a shape that is tried: its best value."""
-        self.first: Screening
-        self.scores: list[Scored]
+        self.first: Screening  # at the model as it was given
+        self.scores: list[Scored]  # of it
         self.last: Screening
         self.now: Fit
         self.residual: Leftover
@@ -110,15 +189,7 @@ class SearchState:
         joined = {one.variant.effect for one in self.accepted}
         return [v for v in self.candidates if v.effect not in joined and v.label not in self.banned]
 
-    def nested(self, fit: Fit, before: Fit, variant: Variant) -> Fit:
-        """A fit with a variant, from where it is absent if that is better than where the fit with
-        its screened size ended."""
-        if fit.cost <= before.cost:
-            return fit
-        point = before.point | {k: self.shapes.get(k, absent(k)) for k in variant.keys}
-        return self.problem.fit(point, fit.keys, settled=ROUGHLY)
-
-    def drop(self, *failed: tuple[Accepted, Refusal], steps: int = STEPS) -> None:
+    def drop(self, *failed: tuple[Evidence, Refusal], steps: int = STEPS) -> None:
         """Take effects out, and fit the others without them, in so many steps at most."""
         point = self.now.point
         for one, why in failed:
@@ -128,7 +199,7 @@ class SearchState:
         joined = (key for one in self.accepted for key in one.variant.keys)
         self.now = self.problem.fit(point, (*self.base_keys, *joined), steps)
 
-    def refit(self, accepted: Sequence[Accepted], held: set[str], sizes: Sequence[str] = ()) -> Fit:
+    def refit(self, accepted: Sequence[Evidence], held: set[str], sizes: Sequence[str] = ()) -> Fit:
         """The joint fit of some effects, and of ``sizes`` from where they are absent, with the
         constants ``held`` as they were given."""
         # Without what explains a trim, none is too large: a constant would make room for it.
@@ -144,7 +215,7 @@ class SearchState:
         return gather(self.problem, self.folds, fit, variants)
 
 
-def names_of(accepted: Sequence[Accepted]) -> frozenset[str]:
+def names_of(accepted: Sequence[Evidence]) -> frozenset[str]:
     """Labels of effects, by which a set of them is known."""
     return frozenset(one.variant.label for one in accepted)
 
@@ -156,7 +227,7 @@ def names_of(accepted: Sequence[Accepted]) -> frozenset[str]:
 # taken back, and so is an effect without which all channels together are predicted better.
 
 
-Without = tuple[Predicted, Accepted | Group, Fit]
+Without = tuple[Predicted, Evidence | Group, Fit]
 """What predictions say of the joint fit without an effect or a changed constant, and that fit."""
 
 
@@ -215,7 +286,7 @@ def _trials(search: SearchState, judge: Judge, now: Predicted) -> list[Without]:
     return trials
 
 
-def _without(search: SearchState, judge: Judge, option: Accepted | Group) -> Without:
+def _without(search: SearchState, judge: Judge, option: Evidence | Group) -> Without:
     search.progress("asking predictions of fitted samples", 0.93)
     rest = [one for one in search.accepted if one is not option]
     held = search.held.union(option) if isinstance(option, tuple) else search.held
@@ -246,14 +317,14 @@ def _named(channels: Iterable[int]) -> str:
 
 def _by_channels(
     search: SearchState, worse: Iterable[int]
-) -> tuple[Sequence[Accepted | Group], Sequence[Accepted | Group]]:
+) -> tuple[list[Evidence | Group], list[Evidence | Group]]:
     """Effects and changed constants that touch these channels, and the others."""
     bad = set(worse)
     every = range(len(CHANNELS))
-    near: list[Accepted | Group] = []
-    others: list[Accepted | Group] = []
+    near: list[Evidence | Group] = []
+    others: list[Evidence | Group] = []
     for one in search.accepted:
-        (near if bad.intersection(one.evidence.channels) else others).append(one)
+        (near if bad.intersection(one.channels) else others).append(one)
     for group in search.groups:
         if not search.held.issuperset(group):
             touches = bad.intersection(TOUCHES.get(group[0], every))
@@ -309,8 +380,7 @@ def name_base_changes(search: SearchState) -> None:
         held = search.held | {key}
         after = search.refit(search.accepted, held, (own,))
         (evidence,) = search.weighed(after, [variant])
-        trial = Trial(variant, after, evidence=evidence)
-        if refusal(Stage.WEIGHED, trial) or refusal(Stage.NAMED, trial):
+        if refusal(WEIGHED, evidence) or refusal(NAMED, Last(variant, after)):
             continue
         apart = [one for one in search.accepted if not _shares(one.variant, variant)]
         if len(apart) < len(search.accepted):
@@ -318,16 +388,9 @@ def name_base_changes(search: SearchState) -> None:
             if abs(alone.point[own] - after.point[own]) > variant.definition.negligible:
                 continue
         search.now, search.held = after, held
-        search.accepted.insert(0, Accepted(variant, evidence))
+        search.accepted.insert(0, evidence)
         search.errors[own] = after.stderr()[own]
         search.held_out[variant.label] = evidence.held_out
-
-
-def confirm(search: SearchState) -> bool:
-    """Ask predictions; whether anything left."""
-    if search.judge is None:
-        return False
-    return answer_to_predictions(search, search.judge)
 
 
 def _shares(variant: Variant, other: Variant) -> bool:
@@ -354,7 +417,7 @@ def drop_needless(search: SearchState) -> bool:
             cost = min(cost, 0.0)
         trials.append((cost, one))
     cost, worst = min(trials, key=lambda item: item[0])
-    why = refusal(Stage.JOINED, Trial(worst.variant, removal=cost))
+    why = refusal(JOINED, cost)
     if why is None:
         return False
     search.drop((worst, why))
@@ -373,19 +436,13 @@ def drop_failing(search: SearchState) -> bool:
     return True
 
 
-def failing(search: SearchState, variants: Sequence[Variant]) -> list[tuple[Accepted, Refusal]]:
+def failing(search: SearchState, variants: Sequence[Variant]) -> list[tuple[Evidence, Refusal]]:
     """Ask each of these effects of the joint fit beside the others; those that fail, the weakest
     last, and why. All are accepted until they are dropped, the strongest first."""
     weighed = search.weighed(search.now, variants)
-    both = [Accepted(one, evidence) for one, evidence in zip(variants, weighed, strict=True)]
-    search.accepted = sorted(both, key=lambda one: -one.evidence.drop)
-    search.held_out |= {one.variant.label: one.evidence.held_out for one in both}
-    failed = []
-    for one in search.accepted:
-        why = refusal(Stage.WEIGHED, Trial(one.variant, search.now, evidence=one.evidence))
-        if why is not None:
-            failed.append((one, why))
-    return failed
+    search.accepted = sorted(weighed, key=lambda one: -one.drop)
+    search.held_out |= {one.variant.label: one.held_out for one in weighed}
+    return [(one, why) for one in search.accepted if (why := refusal(WEIGHED, one))]
 
 
 # Forward: what joins the model. Candidates are screened, the best few fitted jointly, and the
@@ -417,7 +474,9 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         known = margin > SURE and bool(np.isfinite(one.errors).all())
         rival = best.get(one.variant.effect)
         first = known and (rival is None or one.drop > rival.drop)
-        if first and plausible(one.variant, _placed(plain, one)):
+        sizes = zip(one.variant.sizes, one.values.tolist(), strict=True)
+        placed = {key: absent(key) + size for key, size in sizes}
+        if first and plausible(one.variant, {**plain.point, **placed}):
             best[one.variant.effect] = one
     sure = list(best.values())
     point = dict(plain.point)
@@ -458,18 +517,29 @@ def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
 
 
 def _join_first(search: SearchState, shortlist: Sequence[Scored], before: Fit) -> bool:
-    """Join the first of these, the best one first, that passes."""
-    for trial in _fitted(search, shortlist, before):
-        label = trial.variant.label
-        assert trial.fit is not None
-        (evidence,) = search.weighed(trial.fit, [trial.variant])
-        trial.evidence = replace(evidence, drop=before.cost - trial.fit.cost)
-        search.held_out[label] = trial.evidence.held_out
-        why = refusal(Stage.WEIGHED, trial)
+    """Fit each of these jointly, and join the first, the best one first, that passes."""
+    trials = []
+    for one in shortlist:
+        variant, keys = one.variant, (*search.now.keys, *one.variant.keys)
+        search.progress(f"fitting {variant.effect}", -1.0)
+        start = started(search.now.point, one, search.shapes)
+        fit = search.problem.fit(start, keys, settled=ROUGHLY)
+        if fit.cost > before.cost:  # than where it is absent: from there
+            point = before.point | {k: search.shapes.get(k, absent(k)) for k in variant.keys}
+            fit = search.problem.fit(point, fit.keys, settled=ROUGHLY)
+        gain = before.cost - fit.cost - PENALTY * len(variant.keys)
+        trials.append((gain, variant, fit))
+    for _, variant, fit in sorted(trials, key=lambda trial: -trial[0]):
+        (evidence,) = search.weighed(fit, [variant])
+        evidence = replace(evidence, drop=before.cost - fit.cost)
+        search.held_out[variant.label] = evidence.held_out
+        why = refusal(WEIGHED, evidence)
         if why is None:
-            _join(search, trial)
+            search.accepted.append(evidence)
+            search.refused.pop(variant.label, None)
+            search.now = fit
             return True
-        search.refused[label] = why
+        search.refused[variant.label] = why
     return False
 
 
@@ -483,7 +553,7 @@ def join_tried(search: SearchState) -> bool:
     for one, shape in best_tried(search, search.now.point, search.now.keys):
         others = [other for other in search.scores if other.variant is not one.variant]
         search.scores = [*others, one]
-        why = refusal(Stage.SCREENED, Trial(one.variant, scored=one))
+        why = refusal(SCREENED, one)
         if why is None:
             promising.append(one.variant)
             search.shapes |= shape
@@ -508,8 +578,7 @@ def best_tried(
     """Of each effect with a shape that is tried, the best value that is possible."""
 
     def worth(one: tuple[Scored, Point]) -> tuple[bool, float]:
-        scored = one[0]
-        return refusal(Stage.SCREENED, Trial(scored.variant, scored=scored)) is None, scored.drop
+        return refusal(SCREENED, one[0]) is None, one[0].drop
 
     return [max(some, key=worth) for some in tried(search.problem, point, keys, search.able())]
 
@@ -518,7 +587,7 @@ def _shortlist(search: SearchState, scores: Sequence[Scored]) -> list[Scored]:
     """The best few that pass the screening, and what the best one is easily confused with."""
     able = []
     for one in scores:
-        why = refusal(Stage.SCREENED, Trial(one.variant, scored=one))
+        why = refusal(SCREENED, one)
         if why is None:
             able.append(one)
         elif why.reason is Reason.WEAK:
@@ -533,65 +602,20 @@ def _shortlist(search: SearchState, scores: Sequence[Scored]) -> list[Scored]:
     return close + more[:MORE_FITTED]
 
 
-def _fitted(search: SearchState, shortlist: Sequence[Scored], before: Fit) -> list[Trial]:
-    """Joint fits of candidates, the best one first."""
-    trials = []
-    for one in shortlist:
-        search.progress(f"fitting {one.variant.effect}", -1.0)
-        keys = (*search.now.keys, *one.variant.keys)
-        start = started(search.now.point, one, search.shapes)
-        fit = search.problem.fit(start, keys, settled=ROUGHLY)
-        fit = search.nested(fit, before, one.variant)
-        gain = before.cost - fit.cost - PENALTY * len(one.variant.keys)
-        trials.append(Trial(one.variant, fit, gain))
-    return sorted(trials, key=lambda trial: trial.gain, reverse=True)
-
-
-def _join(search: SearchState, trial: Trial) -> None:
-    assert trial.fit is not None
-    assert trial.evidence is not None
-    search.accepted.append(Accepted(trial.variant, trial.evidence))
-    search.refused.pop(trial.variant.label, None)
-    search.now = trial.fit
-
-
-def _placed(plain: Screening, one: Scored) -> dict[str, float]:
-    """The given model with an effect at its screened size."""
-    values = dict(zip(one.variant.sizes, one.values.tolist(), strict=True))
-    return {**plain.point, **{key: absent(key) + size for key, size in values.items()}}
-
-
 # The procedure: screen every effect, add the best one, drop what became needless, until stable.
 #
-# ``search_effects`` and ``concluded`` are the whole of it. Columns of every effect are evaluated
-# once a round (``screening.py``), the best few are fitted jointly with the base and what was
-# accepted before, and each stage has its gates (``acceptance.py``).
+# ``search_effects`` and ``answer_to_predictions`` are the whole of it; what comes before and after
+# is ``engine.find_effects``. Columns of every effect are
+# evaluated once a round (``screening.py``), the best few are fitted jointly with the base and what
+# was accepted before, and each stage has its gates (``acceptance.py``).
 
 
 MOST_ROUNDS = 16
 
 
-@dataclass(slots=True)
-class Outcome:
-    """final: the joint fit. errors: standard errors by key, everything being free. residual: what
-    it leaves. refused: variant label -> why it is not named. held_out: variant label -> drop of
-    -2 log L on flights left out when it was weighed last. weights: variant label -> what it
-    carries. first: the screening at the model as it was given; scores: of it."""
-
-    final: Fit
-    errors: dict[str, float]
-    accepted: list[Accepted]
-    residual: Leftover
-    refused: dict[str, Refusal]
-    held_out: dict[str, float]
-    weights: dict[str, Weight]
-    first: Screening
-    scores: list[Scored]
-
-
 def search_effects(search: SearchState) -> None:
     """From the model as it was given to a set of effects that stays, but for what
-    predictions say of it (``concluded``)."""
+    predictions say of it (``answer_to_predictions``)."""
     # The base is not fitted alone first: bent to imitate what is missing, it would be a poor
     # place to linearise at. A centre of gravity off its place makes c0 vanish, for one.
     search.progress("screening", 0.1)
@@ -616,20 +640,3 @@ def search_effects(search: SearchState) -> None:
     settle_trim(search)
     hold_base(search)
     name_base_changes(search)
-
-
-def concluded(search: SearchState) -> Outcome:
-    """What stays of a search where predictions are asked."""
-    if confirm(search):
-        search.residual = leftover(search.problem, search.now)
-    return Outcome(
-        final=search.now,
-        errors=search.errors,
-        accepted=search.accepted,
-        residual=search.residual,
-        refused=search.refused,
-        held_out=search.held_out,
-        weights=search.weights,
-        first=search.first,
-        scores=search.scores,
-    )

@@ -6,7 +6,7 @@ the kernels around them stay cached.
 
 Every chain is called alike: (e, craft, given, x, z) -> (x, slopes), with the effects' values e, the
 stage's inputs ``given``, what is passed on x, and the states z with their slopes, tuples
-(``dynamics/law.py`` says what these are at each stage).
+(``dynamics/effect.py`` says what these are at each stage).
 """
 
 from __future__ import annotations

@@ -169,7 +169,7 @@ SENSOR_STATES = LISTED_STATES["sensor"] + STATE_SLOTS
 """Room for what sensors' effects remember."""
 CRAFT = np.dtype(
     [
-        # as ``law.Craft``
+        # as ``effect.Craft``
         ("mass", "f8"),
         ("gravity", "f8"),
         ("inertia", "f8", (3,)),
@@ -232,12 +232,14 @@ def craft_of_vehicle(
     craft["thrust"], craft["drag"] = vehicle.thrust_n, vehicle.drag_n_m
     places = rotor_positions_m(vehicle)
     craft["rotor_x"], craft["rotor_y"] = [x for x, _ in places], [y for _, y in places]
-    motor = vehicle.motor
-    _put_motors(craft, (motor, motor, motor, motor))
+    _put_motors(craft, (vehicle.motor,) * 4)
     craft["winding_ohm"] = vehicle.winding_ohm
-    given = {} if effects is None else effects
-    add_effects(craft, [(EFFECTS[name], EFFECTS[name].values(v)) for name, v in given.items()])
+    add_effects(craft, _named(effects or {}))
     return record
+
+
+def _named(effects: Mapping[str, Mapping[str, float]]) -> list[Acting]:
+    return [(EFFECTS[name], EFFECTS[name].values(given)) for name, given in effects.items()]
 
 
 def craft_of_motors(
@@ -245,12 +247,9 @@ def craft_of_motors(
 ) -> Crafts:
     """Motors alone as a record, shape (1,), with listed effects by name and parameters."""
     record = np.zeros(1, CRAFT)
-    if isinstance(motor, MotorConstants):
-        motor = (motor, motor, motor, motor)
-    _put_motors(record[0], motor)
+    _put_motors(record[0], (motor,) * 4 if isinstance(motor, MotorConstants) else motor)
     record["mass"], record["inertia"], record["winding_ohm"] = 1.0, 1.0, 1.0  # nothing turns
-    given = [(EFFECTS[name], EFFECTS[name].values(v)) for name, v in effects.items()]
-    add_effects(record[0], given)
+    add_effects(record[0], _named(effects))
     return record
 
 

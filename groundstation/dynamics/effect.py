@@ -180,11 +180,9 @@ def rotor_wrench(craft: Any, rotor: Any) -> tuple[float, float, float, float]:
     )
 
 
-# What is known of a physical effect: the vocabulary of the files in ``dynamics/effects``.
-#
-# Each of those files defines one ``EFFECT``: parameters, law, what it needs, where it shows and
-# what it is confused with. Everything that flies, fits, searches or describes effects reads it
-# there.
+# Each of the files in ``dynamics/effects`` defines one ``EFFECT``: parameters, law, what it needs,
+# where it shows and what it is confused with. Whatever flies, fits, searches or describes effects
+# reads it there.
 
 
 Stage = Literal["delay", "supply", "motor", "rotor", "body", "sensor", "attitude", "tachometer"]
@@ -203,7 +201,7 @@ Kind = Literal["size", "shape", "choice"]
 Need = Literal["accelerometer", "attitude", "modelled rotors"]
 Unmeasured = Literal["velocity", "height"]
 Law = Callable[..., Any]
-"""See ``dynamics/law.py`` for the signature of each stage."""
+"""Its arguments at each stage are in the table above."""
 
 GYRO: tuple[Channel, ...] = ("gyro x", "gyro y", "gyro z")
 TILT_RATES: tuple[Channel, ...] = ("gyro x", "gyro y")
@@ -218,7 +216,7 @@ ROTORS = frozenset({"rotor acceleration", "rotors slowing down", "thrust change"
 THRUST = frozenset({"high thrust", "low thrust", "climb", "descent", "thrust change"})
 STEADY = frozenset({"whole flight", "hover"})
 TRANSLATION = frozenset({"translation", "tilted"})
-"""Regimes of ``comparison/regimes.py``, in groups."""
+"""Regimes of ``gap.regimes_of``, in groups."""
 
 THRUST_STEPS = (
     "steps of collective thrust over 60..140 % of hover, once with a full and once with an"
@@ -371,7 +369,7 @@ CANDIDATES = (Role.CANDIDATE, Role.ESTIMATE)
 class Effect:
     """One physical effect.
 
-    name: that of its file. stage, law: where it enters and how (``dynamics/law.py``). order: laws
+    name: that of its file. stage, law: where it enters and how (table above). order: laws
     of a stage act in this order. states: what it remembers, in the order in which the law takes
     them: of a listed sensor, its slopes and what is shown are linear in them. fastest: values ->
     fastest rate in 1/s of these states, for an integrator's step.
@@ -457,11 +455,9 @@ class Effect:
             if not math.isfinite(value):
                 raise BadInputError(f"effect {self.name}: {p.name} is {value}, must be finite")
             if not p.least <= value <= p.most:
-                limits = (
-                    "must not be negative"
-                    if p.least == 0.0 > value
-                    else (f"must lie in {p.least:g}..{p.most:g}")
-                )
+                limits = f"must lie in {p.least:g}..{p.most:g}"
+                if p.least == 0.0 > value:
+                    limits = "must not be negative"
                 raise BadInputError(f"effect {self.name}: {p.name} is {value:g}, {limits}")
             if p.kind == "choice" and value not in range(int(p.low), int(p.high) + 1):
                 raise BadInputError(
@@ -521,8 +517,7 @@ class Key:
 
     @property
     def unit(self) -> str:
-        one = self.parameter
-        return one.unit if one.unknown is None else one.unknown.unit
+        return (self.parameter.unknown or self.parameter).unit
 
     @property
     def absent(self) -> float:
@@ -531,8 +526,8 @@ class Key:
 
     @property
     def plausible(self) -> tuple[float, float]:
-        ends = (self.parameter.low, self.parameter.high)
-        low, high = sorted(self.parameter.to_unknown(end) for end in ends)
+        one = self.parameter
+        low, high = sorted((one.to_unknown(one.low), one.to_unknown(one.high)))
         return low, high
 
     @property
@@ -556,17 +551,16 @@ class Key:
 
 def variants(effect: Effect) -> tuple[tuple[Key, ...], ...]:
     """The ways in which an effect may be there, sizes before shapes: one, or one per choice."""
-    choice = effect.choice
-    numbers = [p for p in effect.parameters if p.kind == "size"]
-    numbers += [p for p in effect.parameters if p.kind == "shape"]
+    choice, shapes = effect.choice, [p for p in effect.parameters if p.kind == "shape"]
+    numbers = [((p.unknown or p).name, p) for p in (*effect.sizes, *shapes)]
     if choice is None:
-        return (tuple(Key(f"{effect.name}.{_name(p)}", effect, p) for p in numbers),)
+        return (tuple(Key(f"{effect.name}.{name}", effect, p) for name, p in numbers),)
     found = []
     for which in range(int(choice.low), int(choice.high) + 1):
         stem = f"{effect.name}.{which}"
-        keys = [stem if len(numbers) == 1 else f"{stem}.{_name(p)}" for p in numbers]
+        keys = [stem if len(numbers) == 1 else f"{stem}.{name}" for name, _ in numbers]
         found.append(
-            tuple(Key(key, effect, p, which) for key, p in zip(keys, numbers, strict=True))
+            tuple(Key(key, effect, p, which) for key, (_, p) in zip(keys, numbers, strict=True))
         )
     return tuple(found)
 
@@ -597,8 +591,7 @@ def to_stderr(
     """Standard errors of a variant's parameters from those of its unknowns (first order)."""
     found = {}
     for one in keys:
-        error = errors.get(one.key)
-        if error is None:
+        if (error := errors.get(one.key)) is None:
             continue
         if one.parameter.unknown is not None:
             value = point.get(one.key, one.absent)
@@ -613,13 +606,9 @@ def to_stderr(
     return found
 
 
-def _name(parameter: Parameter) -> str:
-    return parameter.name if parameter.unknown is None else parameter.unknown.name
-
-
 # Effects of the low-passes that today's firmware runs behind its sensors: what they share.
 #
-# Butterworth's filter of second order (``law.butterworth_slopes``), at 1 kHz on board
+# Butterworth's filter of second order (``butterworth_slopes``), at 1 kHz on board
 # (``sensors_bmi088_bmp3xx.c``). 0 Hz means no filter.
 
 

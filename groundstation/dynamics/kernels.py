@@ -47,7 +47,7 @@ def runge_kutta(slope: Any) -> Any:
 
 # The one craft of all kernels: motors, supply, rotors and rigid body with every effect.
 #
-# State as in ``state.py``: position 0-2, velocity 3-5, quaternion 6-9, rates 10-12, rotors 13-16,
+# State: position 0-2, velocity 3-5, quaternion 6-9, rates 10-12, rotors 13-16,
 # and behind them the states of effects.
 
 

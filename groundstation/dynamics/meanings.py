@@ -172,7 +172,7 @@ def meaning_of(name: str) -> tuple[str, str]:
 def arx_meaning(name: str, axis: ArxAxis, *, rates: bool) -> tuple[str, str]:
     """(unit, meaning) of a coefficient ``a1``... or ``b1``... of one axis's polynomials.
 
-    rates: they give a body rate (``arx.of_rates``) and not an angle.
+    rates: they give a body rate (``model.of_rates``) and not an angle.
     """
     output, unit = ("rate", "rad/s") if rates else ("angle", "rad")
     order = int(name[1:])
@@ -201,6 +201,10 @@ UNUSUAL = 2.5
 """Times the profile's value, or one over it, that is worth a word: measured constants of one type
 of craft lie within a half of each other."""
 DEAD_TIME = DELAY.partition(".")[0]
+POOR = "poor"
+"""``quality`` of a body in a model file that predicts unseen data worse than their mean, by far."""
+FOUND = ("effects_found", "found_in_part")
+"""Verdicts of a search whose model is better than the one that it was given."""
 
 
 class Use(IntEnum):
@@ -208,11 +212,14 @@ class Use(IntEnum):
 
     NOTHING = 0
     """It was not identified: the file has the profile's value."""
-    SIMULATION = 1
+    SEARCH = 1
+    """It predicts unseen data worse than their mean: a search for what is missing begins with it,
+    and nothing else does."""
+    SIMULATION = 2
     """A rough simulation: no gains are designed on it."""
-    FIRST_DESIGN = 2
+    FIRST_DESIGN = 3
     """A first, cautious design: its gains are to be tried with care."""
-    DESIGN = 3
+    DESIGN = 4
     """A design as it is."""
 
 
@@ -220,8 +227,18 @@ WORDS = {
     Use.DESIGN: "good enough to design with",
     Use.FIRST_DESIGN: "for a first, cautious design",
     Use.SIMULATION: "for a rough simulation only",
+    Use.SEARCH: "only to search for what is missing",
     Use.NOTHING: "not identified",
 }
+
+
+SEARCHED = {
+    "effects_found": Use.FIRST_DESIGN,
+    "found_in_part": Use.SIMULATION,
+    "no_discrepancy": Use.SIMULATION,
+}
+"""What a poor body is good for behind a search, by its verdict: errors beyond noise bear no design.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +285,7 @@ def verdict(found: Mapping[str, Suitability]) -> str:
     parts = []
     if best := [axis for axis, one in found.items() if one.use == Use.DESIGN]:
         parts.append(f"good enough to design {listed(best)} with")
-    for use in (Use.FIRST_DESIGN, Use.SIMULATION, Use.NOTHING):
+    for use in (Use.FIRST_DESIGN, Use.SIMULATION, Use.SEARCH, Use.NOTHING):
         by_reason: dict[str, list[str]] = {}
         for axis, one in found.items():
             if one.use == use:
@@ -318,9 +335,15 @@ def _of_the_axis(
     if share is not None and not share <= DESIGN:
         use = Use.FIRST_DESIGN if share <= MOST_STDERR else Use.SIMULATION
         yield use, f"known to {100 * share:.0f} % only"
+    search = model.fit.get("discrepancy", {})
+    poor = account.get("quality") == POOR
+    if poor:
+        use = SEARCHED.get(search.get("verdict", ""), Use.SEARCH)
+        since = ", before a search found what it lacks" if use > Use.SEARCH else ""
+        yield use, f"its fit predicts unseen data far worse than their mean{since}"
     for horizon, use in (("20ms", Use.SIMULATION), ("50ms", Use.FIRST_DESIGN)):
         percent = _held_out(account, f"gyro_{axis}_fit_percent_{horizon}")
-        if percent is not None and percent < 0.0:
+        if percent is not None and percent < 0.0 and not poor:
             far = horizon.replace("ms", " ms")
             yield use, f"unseen data are predicted worse than by their mean {far} ahead"
     percent = _held_out(account, "accelerometer_z_fit_percent")
@@ -334,7 +357,6 @@ def _of_the_axis(
         yield Use.FIRST_DESIGN, "it turns with the torque of another axis as well"
     if account.get("contradictions"):
         yield Use.FIRST_DESIGN, "channels of the recordings contradict each other"
-    search = model.fit.get("discrepancy", {})
     if search.get("verdict") == "unexplained":
         yield Use.FIRST_DESIGN, "a search for what is missing left errors unexplained"
     test = account.get("residual_tests", {}).get(f"{axis} rate", {}).get("cross_correlation", {})

@@ -80,7 +80,7 @@ class EffectTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named effect on top of the base model.
 
     source: the Python file that defines it where it is not one of the list
-    (``effects.own``); in a model file relative to that file's folder.
+    (``craft.load_effects``); in a model file relative to that file's folder.
     """
 
     name: str
@@ -113,7 +113,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     vehicle_profile: the profile itself where it is not a built-in one.
     motor, motors: the mean motor, and those of rotors M1..M4 where they were told apart.
     origin: part (motor, body, arx, or one constant, body.c2) -> fitted, profile or given; empty in
-        files that do not say (``dynamics.origin``).
+        files that do not say (``origin_of``).
     disturbance: what an observer follows beside the effects; None: nothing.
     firmware_curve: thrust in N, by the firmware's own scale, of a motor at a voltage in V, constant
         first, as flights showed it; None: the one that belongs to the profile.
@@ -177,8 +177,7 @@ def load_model(source: str | Path) -> Model:
 
 
 def _numbers(constants: msgspec.Struct) -> str:
-    values = msgspec.structs.asdict(constants)
-    return ", ".join(f"{key} {value:.4g}" for key, value in values.items())
+    return ", ".join(f"{key} {one:.4g}" for key, one in msgspec.structs.asdict(constants).items())
 
 
 def save_model(model: Model, path: str | Path) -> None:
@@ -231,21 +230,20 @@ def vehicle_model(vehicle: Vehicle) -> Model:
 
 
 def _with_sources_from(folder: Path, model: Model) -> Model:
-    effects = tuple(
-        msgspec.structs.replace(term, source=str((folder / term.source).resolve()))
-        if term.source
-        else term
+    effects = [
+        msgspec.structs.replace(term, source=term.source and str((folder / term.source).resolve()))
         for term in model.effects
-    )
-    return msgspec.structs.replace(model, effects=effects)
+    ]
+    return msgspec.structs.replace(model, effects=tuple(effects))
 
 
 def _with_disturbance(model: Model) -> Model:
     """The model with the disturbance where files have had it: among the effects."""
     for term in model.effects:
         if term.name == DISTURBANCE.name:
-            found = [term.parameters[one.name].value for one in DISTURBANCE.parameters]
-            x, y, z, u, v, w, time_s = found
+            x, y, z, u, v, w, time_s = (
+                term.parameters[one.name].value for one in DISTURBANCE.parameters
+            )
             return msgspec.structs.replace(
                 model,
                 effects=tuple(other for other in model.effects if other is not term),
@@ -256,13 +254,12 @@ def _with_disturbance(model: Model) -> Model:
 
 def _require_usable(model: Model, where: str) -> None:
     motors = {"motor": model.motor}
-    motors.update({f"motors[{i}]": one for i, one in enumerate(model.motors or ())})
+    motors |= {f"motors[{i}]": one for i, one in enumerate(model.motors or ())}
     numbers = {
         f"{name}.{key}": getattr(one, key) for name, one in motors.items() for key in ("a0", "a1")
     }
     if model.body is not None:
-        for key in ("c0", "c1", "c2", "thrust_per_mass"):
-            numbers[f"body.{key}"] = getattr(model.body, key)
+        numbers |= {f"body.{key}": getattr(model.body, key) for key in BODY}
     for key, value in numbers.items():
         if not (math.isfinite(value) and value > 0):
             raise BadInputError(f"{where}: {key} is {value}, must be positive and finite")
@@ -307,8 +304,7 @@ THESIS = Model(
     # thrust_per_mass is not printed; it follows from Figure 5.7 as in the crazyflie1 profile.
     body=BodyConstants(c0=0.0136, c1=0.0136, c2=0.0005, thrust_per_mass=4.2e-5),
     arx={
-        "roll": ArxAxis(2, 1, 8, (-1.959, 0.9567), (4.222e-8,), 0.002),
-        "pitch": ArxAxis(2, 1, 8, (-1.959, 0.9567), (4.222e-8,), 0.002),
+        **dict.fromkeys(("roll", "pitch"), ArxAxis(2, 1, 8, (-1.959, 0.9567), (4.222e-8,), 0.002)),
         "yaw": ArxAxis(2, 1, 8, (-1.995, 0.9949), (1.382e-9,), 0.002),
     },
     created_by="thesis",
@@ -333,22 +329,15 @@ def origin_of(model: Model) -> dict[str, str]:
     What the file does not say follows from the account of its fits; what is in none of them is the
     profile's where it is equal to it to the last digit, else given.
     """
-    found = {}
-    for part in PARTS:
-        if getattr(model, part) is not None:
-            found[part] = model.origin.get(part) or _assumed(model, part)
-    return found
+    has = (part for part in PARTS if getattr(model, part) is not None)
+    return {part: model.origin.get(part) or _assumed(model, part) for part in has}
 
 
 def with_origin(model: Model) -> Model:
     """The model with its parts' origins in it, as a fit writes them."""
-    origin = origin_of(model)
-    for part in PARTS:
-        if part in model.fit:
-            origin[part] = FITTED
-    for name in model.fit.get("body", {}).get("not_identified", ()):
-        if name in BODY:
-            origin[f"body.{name}"] = PROFILE
+    origin = origin_of(model) | {part: FITTED for part in PARTS if part in model.fit}
+    left = model.fit.get("body", {}).get("not_identified", ())
+    origin |= {f"body.{name}": PROFILE for name in left if name in BODY}
     return msgspec.structs.replace(model, origin=origin)
 
 
@@ -364,35 +353,28 @@ def require_fitted_body(model: Model, where: str) -> None:
 
 def origin_notes(model: Model) -> list[str]:
     """What a user of the model must know about where its parts come from, a line each."""
-    of = f"those of the profile {model.vehicle!r}, not fitted"
-    parts = {"motor": "motor constants", "body": "body constants"}
-    found = []
+    of, found = f"those of the profile {model.vehicle!r}, not fitted", []
     if not model.origin and model.fit and model.body is not None and "body" not in model.fit:
         equal = " (they equal the profile's)" if _assumed(model, "body") == PROFILE else ""
         found.append(
             "made before files said what was fitted: its body constants are taken as fitted" + equal
         )
-    found += [f"{words} are {of}" for part, words in parts.items() if _profiles(model, part)]
+    whole = [part for part in ("motor", "body") if model.origin.get(part) == PROFILE]
+    found += [f"{part} constants are {of}" for part in whole]
     single = [name for name in BODY if model.origin.get(f"body.{name}") == PROFILE]
-    if single and not _profiles(model, "body"):
+    if single and "body" not in whole:
         found.append(f"{', '.join(single)}: {of}")
+    searched = model.fit.get("discrepancy", {}).get("verdict", "unexplained")
+    if model.fit.get("body", {}).get("quality") and searched == "unexplained":
+        found.append("its body predicts unseen data worse than their mean: only search with it")
     return found
-
-
-def _profiles(model: Model, part: str) -> bool:
-    return model.origin.get(part) == PROFILE
 
 
 def _assumed(model: Model, part: str) -> str:
     if part in model.fit:
         return FITTED
-    vehicle = model_vehicle(model)
-    c0, c1, c2 = vehicle.body_constants
-    of_profile = {
-        "motor": vehicle.motor,
-        "body": BodyConstants(c0, c1, c2, vehicle.thrust_per_mass),
-    }
-    return PROFILE if getattr(model, part) == of_profile.get(part) else GIVEN
+    of_profile = getattr(vehicle_model(model_vehicle(model)), part)
+    return PROFILE if getattr(model, part) == of_profile else GIVEN
 
 
 # ARX polynomials as simulators (thesis eq. 7.9, 7.32-7.34).
@@ -442,12 +424,10 @@ def simulate_arx(axis: ArxAxis, inputs: ArrayLike, past_outputs: ArrayLike = ())
     """
     from scipy.signal import lfilter, lfiltic
 
-    inputs = np.asarray(inputs, np.float64)
     past = np.asarray(past_outputs, np.float64)[::-1][: axis.na]
-    denominator = np.array([1.0, *axis.a])
-    numerator = np.concatenate([np.zeros(axis.nk), axis.b])
+    numerator, denominator = np.array([*[0.0] * axis.nk, *axis.b]), np.array([1.0, *axis.a])
     state = lfiltic(numerator, denominator, past)
-    outputs, _ = lfilter(numerator, denominator, inputs, zi=state)
+    outputs, _ = lfilter(numerator, denominator, np.asarray(inputs, np.float64), zi=state)
     return np.asarray(outputs)
 
 
@@ -487,7 +467,11 @@ def angle_polynomial(model: Model, axis: str) -> ArxAxis:
     Rates are integrated by the trapezoidal rule; body rates count as Euler rates (thesis 3.54).
     """
     one = (model.arx or {})[axis]
-    return _integral(one) if of_rates(model) else one
+    if not of_rates(model):
+        return one
+    a = np.convolve([1.0, *one.a], [1.0, -1.0])[1:]
+    b = 0.5 * one.ts * np.convolve(one.b, [1.0, 1.0])
+    return ArxAxis(len(a), len(b), one.nk, tuple(a.tolist()), tuple(b.tolist()), one.ts)
 
 
 def stacked(axes: Sequence[ArxAxis]) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -497,12 +481,6 @@ def stacked(axes: Sequence[ArxAxis]) -> tuple[Array, Array, NDArray[np.int64]]:
     for i, one in enumerate(axes):
         a[i, : one.na], b[i, : one.nb] = one.a, one.b
     return a, b, np.array([one.nk for one in axes], np.int64)
-
-
-def _integral(axis: ArxAxis) -> ArxAxis:
-    a = np.convolve([1.0, *axis.a], [1.0, -1.0])[1:]
-    b = 0.5 * axis.ts * np.convolve(axis.b, [1.0, 1.0])
-    return ArxAxis(len(a), len(b), axis.nk, tuple(a.tolist()), tuple(b.tolist()), axis.ts)
 
 
 def poles(axis: ArxAxis) -> NDArray[np.complex128]:

@@ -1,5 +1,9 @@
 """The listed effects: a file of ``dynamics/effects`` defines one ``EFFECT`` of its own name, and is
-listed by being there. A user's own are in ``own_effects``."""
+listed by being there; its ``role`` says whether a search asks it. A listed one also needs its words
+in ``meanings.py`` and a twin in ``firmware_sim/effects`` (with its place in ``layout.py`` and
+``plant.py``), written apart, which the tests fly beside it (``tests/firmware_sim/test_effects.py``,
+``tests/dynamics/effects/test_registry.py``). A user's own is a file alone:
+``craft.load_effects``."""
 
 from __future__ import annotations
 

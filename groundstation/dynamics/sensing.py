@@ -19,7 +19,7 @@ from groundstation.dynamics.kernels import ALL, LISTED, SENSOR, craft_of, own_va
 # Rotations inside kernels: unit quaternions (w, x, y, z), body to inertial, as tuples.
 #
 # For arrays, and for the conventions, see ``rotations.py``; ``to_inertial`` and ``to_body`` are
-# those of ``law.py``.
+# those of ``effect.py``.
 
 
 to_inertial = inner(law.to_inertial)

@@ -3,7 +3,7 @@ and attitude filter.
 
 Reported angles are the sensor's true attitude, less what the firmware's gyro filter keeps back
 (``sensing.estimated``), or, where an effect gives the attitude filter gains, those of the
-firmware's filter (``attitude_filter.py``). Everything is late by the delay.
+firmware's filter (``sensing.fuse``). Everything is late by the delay.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SENSORS = np.dtype(
     [
         ("delay", "f8"),  # s
         ("gains", "f8", (2,)),  # of the attitude filter, 1/s and 1/s^2; 0: angles are the truth
-        ("smoothing", "f8"),  # of the accelerometer before that filter (attitude_filter.smoothed)
+        ("smoothing", "f8"),  # of the accelerometer before that filter (sensing.smoothed)
         ("mounting", "f8", (3, 3)),  # body <- sensor: undoes what the sensors' laws turn
         ("mount", "f8", (4,)),  # the same as a quaternion, of the reported angles
         ("rotated", "i8"),
@@ -34,15 +34,14 @@ SENSORS = np.dtype(
 
 def delay_of_model(model: Model) -> float:
     """How late every measurement is, s."""
-    found = [e.law(tuple(v.values())) for e, v in acting(model) if e.stage == "delay"]
-    return float(sum(found))
+    return float(sum(e.law(tuple(v.values())) for e, v in acting(model) if e.stage == "delay"))
 
 
 def shown_rotors(model: Model, rev_s: Array, period_s: float) -> Array:
     """What a sensor of rotor speeds shows (n, 4) of true ones at rows ``period_s`` apart."""
-    lags = (e.law(tuple(v.values())) for e, v in acting(model) if e.stage == "tachometer")
-    for lag_s in lags:
-        rev_s = lagged(rev_s, lag_s, period_s)
+    for effect, values in acting(model):
+        if effect.stage == "tachometer":
+            rev_s = lagged(rev_s, effect.law(tuple(values.values())), period_s)
     return rev_s
 
 

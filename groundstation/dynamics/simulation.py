@@ -93,10 +93,8 @@ def simulate_motor(
     voltage = np.ascontiguousarray(voltage_mv, np.float64)
     if voltage.ndim != 2 or len(voltage) == 0:
         raise ValueError(f"voltage_mv has shape {voltage.shape}, expected (samples, motors)")
-    if initial_rev_s is None:
-        start = steady_rev_s(motor, voltage[0])
-    else:
-        start = np.broadcast_to(np.asarray(initial_rev_s, np.float64), voltage.shape[1:]).copy()
+    start = np.empty(voltage.shape[1])
+    start[:] = steady_rev_s(motor, voltage[0]) if initial_rev_s is None else initial_rev_s
     speed = np.empty((len(voltage) + 1, voltage.shape[1]))
     square = np.empty_like(voltage)
     craft = craft_of_motors(motor, effects or {})
@@ -117,8 +115,8 @@ def steady_rev_s(motor: MotorConstants | Motors, armature_mv: Array) -> Array:
 
 # Fly a craft from armature voltages: one craft, or a batch of them.
 #
-# Newton-Euler in the body frame (thesis 3.11), attitude as a quaternion, with the state vector of
-# ``state.py``; inputs are held over each period, as PWM is.
+# Newton-Euler in the body frame (thesis 3.11), attitude as a quaternion; inputs are held over each
+# period, as PWM is.
 
 
 def simulate(

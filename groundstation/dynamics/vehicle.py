@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -52,11 +53,8 @@ Motors = tuple[MotorConstants, MotorConstants, MotorConstants, MotorConstants]
 
 def mean_motor(motors: Motors) -> MotorConstants:
     """The mean of each constant."""
-    return MotorConstants(
-        a0=sum(one.a0 for one in motors) / 4,
-        a1=sum(one.a1 for one in motors) / 4,
-        a2=sum(one.a2 for one in motors) / 4,
-    )
+    a0, a1, a2 = (sum(getattr(one, name) for one in motors) / 4 for name in ("a0", "a1", "a2"))
+    return MotorConstants(a0, a1, a2)
 
 
 def moved_motors(motors: Motors, mean: MotorConstants) -> Motors:
@@ -205,38 +203,31 @@ def _based(base: object, given: dict[str, Any], path: Path) -> dict[str, Any]:
     return {**msgspec.to_builtins(BUILT_IN[base]), **given}
 
 
+POSITIVE = (
+    *("mass_kg", "arm_m", "inertia_kg_m2", "motor.a0", "motor.a1", "thrust_n", "drag_n_m"),
+    *("winding_ohm", "battery.capacity_mah", "battery.back_emf_share"),
+)
+NOT_NEGATIVE = (
+    *("rotor_inertia_kg_m2", "battery.internal_ohm", "battery.supply_ohm"),
+    *("battery.electronics_a", "gyro_filter_hz", "accelerometer_filter_hz"),
+)
+
+
 def require_physical(vehicle: Vehicle, where: str) -> None:
     """Raise BadInputError, beginning with ``where``, for a craft that cannot exist."""
-    ixx, iyy, izz = vehicle.inertia_kg_m2
-    positive = {
-        "mass_kg": vehicle.mass_kg,
-        "arm_m": vehicle.arm_m,
-        "inertia_kg_m2": min(ixx, iyy, izz),
-        "motor.a0": vehicle.motor.a0,
-        "motor.a1": vehicle.motor.a1,
-        "thrust_n": vehicle.thrust_n,
-        "drag_n_m": vehicle.drag_n_m,
-        "winding_ohm": vehicle.winding_ohm,
-        "battery.capacity_mah": vehicle.battery.capacity_mah,
-        "battery.back_emf_share": vehicle.battery.back_emf_share,
-    }
-    for key, value in positive.items():
-        if not (math.isfinite(value) and value > 0):
-            raise BadInputError(f"{where}: {key} is {value}, must be positive")
-    not_negative = {
-        "rotor_inertia_kg_m2": vehicle.rotor_inertia_kg_m2,
-        "battery.internal_ohm": vehicle.battery.internal_ohm,
-        "battery.supply_ohm": vehicle.battery.supply_ohm,
-        "battery.electronics_a": vehicle.battery.electronics_a,
-        "gyro_filter_hz": vehicle.gyro_filter_hz,
-        "accelerometer_filter_hz": vehicle.accelerometer_filter_hz,
-    }
-    for key, value in not_negative.items():
-        if not (math.isfinite(value) and value >= 0):
-            raise BadInputError(f"{where}: {key} is {value}, must not be negative")
+    for keys, allowed, must in (
+        (POSITIVE, lambda value: value > 0, "be positive"),
+        (NOT_NEGATIVE, lambda value: value >= 0, "not be negative"),
+    ):
+        for key in keys:
+            value = attrgetter(key)(vehicle)
+            value = min(value) if isinstance(value, tuple) else value
+            if not (math.isfinite(value) and allowed(value)):
+                raise BadInputError(f"{where}: {key} is {value}, must {must}")
     for key, value in {"motor.a2": vehicle.motor.a2, **vehicle.gains}.items():
         if not math.isfinite(value):
             raise BadInputError(f"{where}: {key} is {value}, must be finite")
+    ixx, iyy, izz = vehicle.inertia_kg_m2
     largest = max(ixx, iyy, izz)
     excess = largest / (ixx + iyy + izz - largest) - 1.0
     if excess > 0.0:

@@ -23,7 +23,7 @@ from groundstation.errors import (
     TakenError,
     install,
 )
-from groundstation.identification.fit_record import Progress
+from groundstation.identification.estimate import Progress
 from groundstation.paths import written_whole
 
 if TYPE_CHECKING:
@@ -250,7 +250,14 @@ def carried_out(
     with _client(workers, scheduler) as client:
         threads = _Threads(client, scheduler is None)
         if scheduler is not None and not threads.count:
-            _await_worker(client, scheduler)
+            try:
+                client.wait_for_workers(1, timeout=CONNECT_S)
+            except TimeoutError:
+                warnings.warn(
+                    f"--scheduler {scheduler}: has no worker; waiting for one, begun with: dask"
+                    f" worker {scheduler}",
+                    stacklevel=2,
+                )
             threads.look()
         yield from _through(client, work, _batched(tasks, max(1, threads.count), largest), threads)
 
@@ -322,8 +329,10 @@ def _through(
             try:
                 results = future.result()
             except (ImportError, AttributeError, RuntimeError) as error:
+                cause = error.__cause__ or error  # of what Dask says of a task that it cannot read
+                said = f"{type(cause).__name__}: {str(cause).splitlines()[0]}"
                 raise GroundStationError(
-                    f"the scheduler or its workers cannot take the work up: {_first(error)}; they"
+                    f"the scheduler or its workers cannot take the work up: {said}; they"
                     " need this version of groundstation installed, and for a bench to be begun in"
                     " a checkout by: python -m dask worker (or scheduler)"
                 ) from error
@@ -359,24 +368,6 @@ def _bounded(arriving: as_completed, threads: _Threads) -> Iterator[Future]:
         else:
             threads.require()
             time.sleep(POLL_S)
-
-
-def _await_worker(client: Client, scheduler: str) -> None:
-    """For some seconds; tells where there is still none."""
-    try:
-        client.wait_for_workers(1, timeout=CONNECT_S)
-    except TimeoutError:
-        warnings.warn(
-            f"--scheduler {scheduler}: has no worker; waiting for one, begun with: dask worker"
-            f" {scheduler}",
-            stacklevel=2,
-        )
-
-
-def _first(error: Exception) -> str:
-    """The cause behind what Dask says of a task that it cannot read."""
-    cause = error.__cause__ or error
-    return f"{type(cause).__name__}: {str(cause).splitlines()[0]}"
 
 
 def _each(work: Callable[[Task], Result], batch: list[Task]) -> list[Result]:

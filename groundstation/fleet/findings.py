@@ -148,14 +148,9 @@ def population(levels: Array, variance: Array) -> Population | None:
     share = between / total
     own = np.sqrt(variance)
     shrunk = levels + np.clip((share - 1.0) * (levels - middle), -own, own)
-    return Population(
-        middle,
-        math.sqrt(middle_variance),
-        math.sqrt(between),
-        np.asarray(p),
-        np.asarray(shrunk),
-        np.asarray(np.sqrt(share * variance + (1.0 - share) ** 2 * middle_variance)),
-    )
+    stderr = np.sqrt(share * variance + (1.0 - share) ** 2 * middle_variance)
+    middles = middle, math.sqrt(middle_variance), math.sqrt(between)
+    return Population(*middles, np.asarray(p), np.asarray(shrunk), np.asarray(stderr))
 
 
 def discoveries(p: Array, share: float) -> NDArray[np.bool_]:
@@ -470,19 +465,8 @@ def _finding(first: _Test, along: Sequence[_Test]) -> Finding:
         "change": f"since {since[:10]} (flight {at + 1} of {count})",
     }[kind]
     text = f"{series.craft}: {amount} {when}: {_likely(first, along)}"
-    return Finding(
-        series.craft,
-        kind,
-        name,
-        0.01 * size,
-        first.stderr,
-        first.p,
-        since,
-        at + 1,
-        count,
-        moved,
-        text,
-    )
+    told = 0.01 * size, first.stderr, first.p
+    return Finding(series.craft, kind, name, *told, since, at + 1, count, moved, text)
 
 
 def _lift(share: float) -> float:

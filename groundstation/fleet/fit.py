@@ -19,12 +19,12 @@ from groundstation.fleet.index import (
     recordings_of,
     usable,
 )
-from groundstation.identification.fit_record import Progress, silent
+from groundstation.identification.estimate import Progress, silent
 from groundstation.paths import digest
 from groundstation.telemetry.arrays import Array
 
 if TYPE_CHECKING:
-    from groundstation.identification.division import Stretch
+    from groundstation.identification.flight import Stretch
 
 # What one flight says of its craft, each value with a standard error: what a fleet compares.
 #
@@ -66,19 +66,15 @@ VALUES = ("reason", *QUANTITIES, *(f"{name}_stderr" for name in QUANTITIES))
 """Columns that findings are made of."""
 
 
-def fitting(vehicle: str | None, effects: tuple[str, ...]) -> partial[Row]:
-    """The fit of one recording by its address, for a worker. vehicle: a profile's name or file;
-    None: what the recording names, or else crazyflie1."""
-    return partial(fit_flight, vehicle=vehicle, effects=effects)
-
-
 def settings_of(vehicle: str | None, effects: tuple[str, ...]) -> str:
     """What a row was computed with: another needs another row."""
     return " ".join([f"{MADE_BY},", vehicle or "as recorded", *effects])
 
 
 def fit_flight(address: str, vehicle: str | None, effects: tuple[str, ...]) -> Row:
-    """A row of the table ``fits``. Never raises for what a file holds: that is its ``reason``."""
+    """A row of the table ``fits``. Never raises for what a file holds: that is its ``reason``.
+
+    vehicle: a profile's name or file; None: what the recording names, or else crazyflie1."""
     row = row_of(address, settings_of(vehicle, effects))
 
     def told() -> Row:
@@ -104,8 +100,8 @@ def _told(
     path: str, vehicle: str | None, effects: tuple[str, ...]
 ) -> tuple[dict[str, tuple[float, float]], float]:
     from groundstation.dynamics.vehicle import load_vehicle
-    from groundstation.identification.body.fit import fit_body
-    from groundstation.identification.division import stretches_of
+    from groundstation.identification.body import fit_body
+    from groundstation.identification.flight import stretches_of
     from groundstation.identification.motor.workflow import estimate_supply
     from groundstation.identification.runs import bridged
     from groundstation.recording.formats import open_for_analysis
@@ -197,7 +193,7 @@ def fit_all(
     to_fit = changed_since(table.rows(SETTLED), long, settings)
     fitted = gathered(
         table,
-        fitting(vehicle, effects),
+        partial(fit_flight, vehicle=vehicle, effects=effects),
         to_fit,
         lambda address: set_aside(row_of(address, settings, long[address]["sha256"]), "fits"),
         at_once=KEPT_AT,

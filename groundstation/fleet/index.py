@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import re
 import shutil
@@ -11,6 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
+from operator import itemgetter
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -18,8 +20,8 @@ import numpy as np
 
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.fleet.engine import Parts, Row, gathered
-from groundstation.identification.fit_record import Progress, silent
+from groundstation.fleet.engine import Parts, Row, gathered, set_aside
+from groundstation.identification.estimate import Progress, silent
 from groundstation.paths import digest, require_content
 
 if TYPE_CHECKING:
@@ -68,18 +70,12 @@ YEAR_2000_NS = 946_684_800 * 10**9
 LEAST_AIR_S = 4.0
 
 
-def reading(vehicle: str | None) -> partial[Row]:
-    """``facts_of``, for a worker."""
-    return partial(facts_of, vehicle=vehicle)
-
-
 def facts_of(address: str, vehicle: str | None = None) -> Row:
     """A row of the catalogue. Never raises for what a file holds: that is its ``reason``.
 
     vehicle: a profile's name or file; None: what the recording names, or else crazyflie1.
     """
-    row: Row = dict.fromkeys(COLUMNS)
-    row |= {"address": address, "reader": READER, "asked_vehicle": vehicle}
+    row = _row_of(address, vehicle)
     try:
         row["stamp"] = stamp_of(address)
         with fetched(address) as path:
@@ -93,6 +89,11 @@ def facts_of(address: str, vehicle: str | None = None) -> Row:
     except Exception as error:  # a fault of ours with one file must not end a thousand others
         row |= {"state": "damaged", "reason": f"{type(error).__name__}: {error}"}
     return row
+
+
+def _row_of(address: str, vehicle: str | None) -> Row:
+    row: Row = dict.fromkeys(COLUMNS)
+    return row | {KEY: address, "reader": READER, "asked_vehicle": vehicle}
 
 
 def stamp_of(address: str) -> str:
@@ -248,10 +249,7 @@ def usable(rows: Iterable[Row]) -> list[Row]:
     """Those of a catalogue's rows that something can be made of, each flight once: of recordings
     with one content the first by address, for a flight that counts twice scatters too little."""
     fit = [one for one in rows if one["state"] not in UNFIT]
-    firsts: dict[str, str] = {}
-    for one in fit:
-        first = firsts.setdefault(one["sha256"], one[KEY])
-        firsts[one["sha256"]] = min(first, one[KEY])
+    firsts = {one["sha256"]: one[KEY] for one in sorted(fit, key=itemgetter(KEY), reverse=True)}
     return [one for one in fit if firsts[one["sha256"]] == one[KEY]]
 
 
@@ -298,13 +296,8 @@ def _local(source: str) -> Iterable[str]:
             for name in names
             if name.endswith(SUFFIXES)
         ]
-    import glob
-
-    return [
-        str(Path(one).absolute())
-        for one in glob.glob(source, recursive=True)
-        if os.path.isfile(one)
-    ]
+    matches = map(Path, glob.glob(source, recursive=True))
+    return [str(one.absolute()) for one in matches if one.is_file()]
 
 
 def _remote(source: str) -> Iterable[str]:
@@ -312,11 +305,9 @@ def _remote(source: str) -> Iterable[str]:
         import fsspec
 
         system, path = fsspec.core.url_to_fs(source)
-        names = (
-            [path]
-            if system.isfile(path)
-            else (system.glob(path) if "*" in path else system.find(path))
-        )
+        names = [path]
+        if not system.isfile(path):
+            names = system.glob(path) if "*" in path else system.find(path)
     except (ImportError, ValueError, OSError) as error:
         raise BadInputError(f"{source}: cannot be listed: {error}") from error
     return [system.unstrip_protocol(one) for one in names if one.endswith(SUFFIXES)]
@@ -346,7 +337,7 @@ def index(
     changed = [one for one in addresses if one not in known or _changed(known[one], vehicle)]
     rows = gathered(
         table,
-        reading(vehicle),
+        partial(facts_of, vehicle=vehicle),
         changed,
         partial(_deadly, vehicle=vehicle),
         at_once=KEPT_AT,
@@ -388,13 +379,7 @@ def _remote_folder(source: str) -> str | None:
 
 def _deadly(address: str, vehicle: str | None) -> Row:
     """The row of a recording that every process dies of."""
-    row: Row = dict.fromkeys(COLUMNS)
+    row = set_aside(_row_of(address, vehicle) | {"state": "damaged"}, "reads")
     with suppress(OSError, ImportError):  # until it changes it is not read again
         row["stamp"] = stamp_of(address)
-    return row | {
-        KEY: address,
-        "reader": READER,
-        "asked_vehicle": vehicle,
-        "state": "damaged",
-        "reason": "the process that reads it dies, again and again; it is set aside",
-    }
+    return row

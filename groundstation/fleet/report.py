@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,16 @@ from groundstation.fleet.findings import (
 )
 from groundstation.fleet.fit import QUANTITIES, RELATIVE, WORDS
 from groundstation.fleet.index import UNFIT
-from groundstation.report.page import BAD, MEASURED, MODELLED, NEUTRAL, Page, figure, legend_above
+from groundstation.report.page import (
+    BAD,
+    MEASURED,
+    MODELLED,
+    NEUTRAL,
+    Cell,
+    Page,
+    figure,
+    legend_above,
+)
 from groundstation.text import counted
 
 if TYPE_CHECKING:
@@ -40,20 +49,13 @@ def add_shifts(page: Page, date: str, shifts: Sequence[Shift]) -> None:
     if not shifts:
         page.text("No craft has two fitted flights on either side.")
         return
+    rows: list[tuple[Cell, ...]] = []
+    for one in shifts:
+        change, believed = (100 * one.size, 100 * one.stderr), "yes" if one.believed else "no"
+        rows.append((one.quantity, *change, one.crafts, one.with_it, one.p, believed))
     page.table(
         ("quantity", "change, %", "+-", "crafts", "that way", "chance", "believed"),
-        [
-            (
-                one.quantity,
-                100 * one.size,
-                100 * one.stderr,
-                one.crafts,
-                one.with_it,
-                one.p,
-                "yes" if one.believed else "no",
-            )
-            for one in shifts
-        ],
+        rows,
         "Median of the crafts that flew on both sides; their own spread counts.",
     )
 
@@ -100,7 +102,11 @@ def to_fly(fleet: Fleet, searched: Mapping[str, Row]) -> dict[str, list[str]]:
             if value is None or value.stderr > MOST_STDERR * abs(value.value):
                 found.setdefault(craft, []).append(f"{RECORD[name]} (for {name})")
     for craft, row in searched.items():
-        for manoeuvre, names in _by_manoeuvre(row["to_fly"] or ()).items():
+        by_manoeuvre: dict[str, list[str]] = {}
+        for line in row["to_fly"] or ():
+            name, _, manoeuvre = line.partition(": ")
+            by_manoeuvre.setdefault(manoeuvre, []).append(name)
+        for manoeuvre, names in by_manoeuvre.items():
             found.setdefault(craft, []).append(f"{manoeuvre} (for {', '.join(names)})")
     return found
 
@@ -119,14 +125,6 @@ def add_to_fly(page: Page, flights: Mapping[str, Sequence[str]]) -> None:
         [(line, ", ".join(of)) for line, of in crafts.items()],
         "What their flights so far cannot tell.",
     )
-
-
-def _by_manoeuvre(lines: Iterable[str]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
-    for line in lines:
-        name, _, manoeuvre = line.partition(": ")
-        found.setdefault(manoeuvre, []).append(name)
-    return found
 
 
 def _sizes(row: Row) -> dict[str, str]:
@@ -172,11 +170,11 @@ def report(
     add_effects(page, more.effects)
     add_to_fly(page, more.to_fly)
     drawn = drawn_crafts(fleet)
-    of_many = (
-        f" {len(drawn)} of {len(crafts)} crafts, those with findings first; --json has all."
-        if len(drawn) < len(crafts)
-        else ""
-    )
+    of_many = ""
+    if len(drawn) < len(crafts):
+        of_many = (
+            f" {len(drawn)} of {len(crafts)} crafts, those with findings first; --json has all."
+        )
     if fleet.populations:
         page.heading("Crafts among crafts")
         page.figure(

@@ -11,16 +11,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.dynamics.model import Model
+import msgspec
+
+from groundstation.dynamics.model import Model, vehicle_model
+from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.fleet.engine import MADE_BY, Parts, Row, gathered, set_aside, with_reason
 from groundstation.fleet.findings import findings_of
 from groundstation.fleet.fit import LEAST_AIR_S, fits_table
 from groundstation.fleet.index import fetched, lasting, recordings_of, usable
-from groundstation.identification.fit_record import Progress, silent
+from groundstation.identification.estimate import Progress, silent
 
 if TYPE_CHECKING:
     from groundstation.discrepancy.engine import Discrepancy
-    from groundstation.dynamics.model import Model
     from groundstation.identification.runs import Run
 
 # Which effects one craft's model is missing, from several of its flights together.
@@ -65,14 +67,11 @@ class CraftFlights:
     settings: str
 
 
-def searching(model: Model | None, vehicle: str | None) -> partial[Row]:
-    """The search on one craft, for a worker. model: what every craft is held against; None: each
-    craft's own fit to the flights that are fitted. vehicle: as for ``fleet fit``."""
-    return partial(search_craft, model=model, vehicle=vehicle)
-
-
 def search_craft(flights: CraftFlights, model: Model | None, vehicle: str | None) -> Row:
-    """A row of the table ``effects``. Never raises for what files hold: that is its ``reason``."""
+    """A row of the table ``effects``. Never raises for what files hold: that is its ``reason``.
+
+    model: what every craft is held against; None: each craft's own fit to the flights that are
+    fitted. vehicle: as for ``fleet fit``."""
 
     def told() -> Row:
         with ExitStack() as files:
@@ -100,7 +99,7 @@ def _searched(
     fit_on: Sequence[Path], held: Sequence[Path], model: Model | None, vehicle: str | None
 ) -> Discrepancy:
     from groundstation.discrepancy.engine import find_discrepancy
-    from groundstation.identification.runs import flights_of_each, without_gaps
+    from groundstation.identification.runs import flights_of_each
     from groundstation.recording.formats import open_for_analysis
     from groundstation.recording.session import require_craft_of, vehicle_of
 
@@ -109,37 +108,21 @@ def _searched(
         flights_of_each((one.samples, one.path.name) for one in recordings) for recordings in opened
     ]
     runs: list[list[list[Run]]] = [one for one, _ in groups]
-    if model is None:
+    base = model
+    if base is None:
         name = vehicle_of([*opened[0], *opened[1]], vehicle) or "crazyflie1"
-        bridged, rest = (
-            [without_gaps(run) for flight in flights for run in flight] for flights in runs
-        )
-        model = _own_fit(bridged, rest, name)
+        base = vehicle_model(load_vehicle(name))
     elif vehicle is None:
         for one in (*opened[0], *opened[1]):
-            require_craft_of(one, model)
+            require_craft_of(one, base)
     left_out = [words for _, some in groups for words in some]
-    return find_discrepancy(runs[0], model, runs[1], left_out=left_out)
-
-
-def _own_fit(fit_on: Sequence[Run], held: Sequence[Run], vehicle: str) -> Model:
-    """The craft's body on the profile's motors, without any effect."""
-    from groundstation.dynamics.model import model_vehicle, vehicle_model
-    from groundstation.dynamics.vehicle import load_vehicle
-    from groundstation.identification.body.workflow import identify_body
-    from groundstation.identification.fit_record import require_results
-
-    before = vehicle_model(load_vehicle(vehicle))
-    found = identify_body(fit_on, held, before, model_vehicle(before))
-    require_results(found.account, before, model_vehicle(before))
-    return found.model
+    return find_discrepancy(runs[0], base, runs[1], left_out=left_out, fit_base=model is None)
 
 
 def _told(found: Discrepancy) -> Row:
     """The outcome in the table's columns."""
     import msgspec
 
-    from groundstation.discrepancy.acceptance import in_words
     from groundstation.discrepancy.proof import what_is_left
 
     findings, proof = found.findings, found.proof
@@ -155,7 +138,7 @@ def _told(found: Discrepancy) -> Row:
         "values": [one.value for _, one in every],
         "stderrs": [one.stderr for _, one in every],
         "units": [one.unit for _, one in every],
-        "changed": [in_words(change) for change in findings.base_changes],
+        "changed": [change.words for change in findings.base_changes],
         "gap_before": proof.before.gap,
         "gap_after": proof.after.beside(proof.before),
         "left": [one.words for one in what_is_left(proof.after)],
@@ -215,24 +198,21 @@ def search_all(
     by_craft: dict[str, list[Row]] = {}
     for row in lasting(counted, LEAST_AIR_S):
         by_craft.setdefault(row["craft"], []).append(row)
-    of = "own fit" if model is None else model_digest(model)
+    of = "own fit"
+    if model is not None:
+        of = "model " + hashlib.sha256(msgspec.json.encode(model)).hexdigest()[:16]
     described = f"{MADE_BY}, {of}, {vehicle or 'vehicle as recorded'}"
-    tasks = [
-        task
+    every = (
+        chosen(craft, rows, fits, begins.get(craft, ""), flights, described)
         for craft, rows in sorted(by_craft.items())
-        if (task := chosen(craft, rows, fits, begins.get(craft, ""), flights, described))
-        is not None
-    ]
+    )
+    tasks = [task for task in every if task is not None]
     table = effects_table(catalogue)
-    known = table.rows()
-    fresh = [
-        task
-        for task in tasks
-        if task.craft not in known or known[task.craft]["settings"] != task.settings
-    ]
+    known = {craft: row["settings"] for craft, row in table.rows().items()}
+    fresh = [task for task in tasks if known.get(task.craft) != task.settings]
     rows_found = gathered(
         table,
-        searching(model, vehicle),
+        partial(search_craft, model=model, vehicle=vehicle),
         fresh,
         lambda task: set_aside(row_of(task), "searches"),
         at_once=1,
@@ -244,13 +224,6 @@ def search_all(
     refused = sum(row["reason"] is not None for row in rows_found)
     table.compact([task.craft for task in tasks])
     return Searched(len(fresh), refused, len(tasks) - len(fresh), len(by_craft) - len(tasks))
-
-
-def model_digest(model: Model) -> str:
-    """What tells one model from another, in a row's settings."""
-    import msgspec
-
-    return "model " + hashlib.sha256(msgspec.json.encode(model)).hexdigest()[:16]
 
 
 def last_changes(recordings: Sequence[Row], fits: Mapping[str, Row]) -> dict[str, str]:
@@ -298,12 +271,9 @@ def chosen(
 
 def _log_errors(fit: Row) -> float:
     """Sum of the logarithms of a fit's relative standard errors of ``AXES``."""
-    values = ((fit[name], fit[f"{name}_stderr"]) for name in AXES)
-    return sum(
-        math.log(
-            NOTHING
-            if value is None or stderr is None
-            else min(NOTHING, max(stderr / abs(value), LEAST))
-        )
-        for value, stderr in values
-    )
+    total = 0.0
+    for name in AXES:
+        value, stderr = fit[name], fit[f"{name}_stderr"]
+        known = value is not None and stderr is not None
+        total += math.log(min(NOTHING, max(stderr / abs(value), LEAST)) if known else NOTHING)
+    return total

@@ -1,11 +1,9 @@
-"""A flight made ready for the search: what is airborne, which rows are real, how fast the
-craft moves.
-"""
+"""Parts of runs: what is airborne, which rows are real, what is fitted and what is held out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +13,18 @@ from groundstation.dynamics.rotations import (
     quaternion_of_attitude,
     rotation_matrix,
 )
+from groundstation.dynamics.simulation import each_motor
+from groundstation.dynamics.vehicle import MIXERS, MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import (
+    EVERYTHING,
     RotorSquares,
     Run,
+    Selection,
     measured_squares,
     require_known,
+    rotor_squares,
+    selected,
     without_gaps,
 )
 from groundstation.prediction.drive import (
@@ -38,11 +42,9 @@ from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import spans
 
-# Which rows of a run are in the air, told from motors, accelerometer and attitude alone.
-#
 # A flight begins where its motors begin to turn and ends where they stop, or where the recording
 # does. In between it is airborne from where the ground carries nothing to where it begins to: by
-# height, where a rest on the ground tells it (``prediction.height``), otherwise by time.
+# height, where a rest on the ground tells it (``heights_of``), otherwise by time.
 
 
 Mask = NDArray[np.bool_]
@@ -74,8 +76,7 @@ class Air:
     start, stop: rows in which the motors turn. first, last: of these, the airborne ones. rests:
     whether it began and ended on the ground within the run. height_m: (n,) above the take-off
     point where it can be told, otherwise infinite. maybe_low: rows before ``last`` in which it may
-    have landed where the recording breaks off (``prediction.height``): for whoever looks for what
-    the ground does.
+    have landed where the recording breaks off.
     """
 
     start: int
@@ -92,11 +93,6 @@ def turning(run: Run) -> Mask:
     if np.isfinite(run.duty).any():
         return np.asarray((run.duty > TURNING).all(axis=1))
     return np.asarray((run.rotor_rev_s > TURNING_REV_S).all(axis=1))
-
-
-def turning_parts(run: Run, least_s: float) -> list[Run]:
-    """The stretches of a run in which all motors turn, those that last ``least_s``."""
-    return [run[a:b] for a, b in spans(turning(run)) if (b - a) * run.period_s >= least_s]
 
 
 def airborne(run: Run) -> Mask:
@@ -172,13 +168,11 @@ BANDS = (0.94, 1.0), (0.6, 0.8)
 """Over half the row rate: where a mean of two readings leaves nothing, where it leaves a fifth."""
 ANGLES, BESIDE_GYRO = 0.05, 0.1
 """Power of the angles' rates in the first band over that in the second, at most, and the same over
-the gyro's: 0.005 and 0.01 for angles made of the gyro, 0.02 and 0.05 for angles with noise of their
-own (stand-in); without a mean 0.3 and more, and 0.5 and more."""
+the gyro's: of means up to 0.02 and 0.05, of others from 0.3 and 0.5 on."""
 SEGMENT_ROWS = 256
 """Of the power's segments, scipy's own; it warns on the terminal where rows are fewer."""
 FORCE = 0.02
-"""The same of the accelerometer, on each axis: 0.005 (stand-in's 2.1); without a mean 0.07 and more
-(logs of real flights)."""
+"""The same of the accelerometer, on each axis: of means 0.005, of others from 0.07 on."""
 
 
 def angles_read_between(rate: Array, gyro: Array) -> bool:
@@ -214,9 +208,6 @@ def _left(rows: Array) -> Array:
     place = np.linspace(0.0, 1.0, len(power))
     top, middle = (power[(low <= place) & (place <= high)].mean(axis=0) for low, high in BANDS)
     return np.divide(top, middle, out=np.ones(3), where=middle > 0.0)
-
-
-# The attitude of a flight on the rows on which it was new, and what the gyro says beside it.
 
 
 FIRMWARE_GAIN = 0.4
@@ -298,12 +289,18 @@ class AttitudeRows:
         return np.where(self.told.reshape(-1, *(1,) * (rates.ndim - 1)), rates, 0.0)
 
 
-def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> AttitudeRows | None:
+def attitude_rows(run: Run, known: Mask, first: int, last: int) -> AttitudeRows | None:
     """The rows between ``first`` and ``last`` of a run without gaps; None where there are few.
 
     known: (n,) rows that were received.
     """
-    rows = _fresh(run, known, first, last)
+    # Rows with a new attitude: an even comb, its stride and phase as most changes have them.
+    received = known[first:last]
+    changed = changed_rows(run.attitude[first:last])
+    changed[1:] &= received[1:] & received[:-1]
+    if np.count_nonzero(changed) < LEAST_ROWS:
+        return None
+    rows = first + rhythm_of(changed).rows(last - first)
     if len(rows) < LEAST_ROWS:
         return None
     stride = int(rows[1] - rows[0])
@@ -326,28 +323,20 @@ def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> 
         half = half_a_row_later(run.gyro)
         late, early, earlier = half[ends], half[ends - 1], half[np.maximum(ends - 2, 0)]
         timing, slope = 0.5 * (late + early) - mean, (late - earlier) / (2.0 * seconds)
+    lean, lean_as_read = _leans(run, known, angles[:-1], ends)
     return AttitudeRows(
-        stride,
-        int(ends[0]),
-        told,
-        _to_euler(0.5 * (angles[1:] + angles[:-1])),
-        rate,
-        mean,
-        timing,
-        slope,
-        *_leans(run, known, angles[:-1], ends),
-        between,
+        stride=stride,
+        first=int(ends[0]),
+        told=told,
+        to_euler=_to_euler(0.5 * (angles[1:] + angles[:-1])),
+        rate=rate,
+        gyro=mean,
+        timing=timing,
+        slope=slope,
+        lean=lean,
+        lean_as_read=lean_as_read,
+        between=between,
     )
-
-
-def _fresh(run: Run, known: NDArray[np.bool_], first: int, last: int) -> NDArray[np.int64]:
-    """Rows with a new attitude: an even comb, its stride and phase as most changes have them."""
-    received = known[first:last]
-    changed = changed_rows(run.attitude[first:last])
-    changed[1:] &= received[1:] & received[:-1]
-    if np.count_nonzero(changed) < LEAST_ROWS:
-        return np.empty(0, np.int64)
-    return first + rhythm_of(changed).rows(last - first)
 
 
 def _leans(
@@ -380,8 +369,7 @@ def _leans(
 def _shaken_across(values: Array, known: NDArray[np.bool_]) -> Array:
     """Rows (n, 3) with lost ones between the values two rows before and two rows after.
 
-    Rotors shake the sensor at a frequency that folds near half the row rate: a straight line
-    between neighbours has the other phase.
+    Rotors shake the sensor near half the row rate, where neighbours have the other phase.
     """
     out = np.array(values, np.float64)
     for phase in (0, 1):
@@ -403,9 +391,6 @@ def _to_euler(attitude: Array) -> Array:
     out[:, 1, 1], out[:, 1, 2] = cr, -sr
     out[:, 2, 1], out[:, 2, 2] = sr / cp, cr / cp
     return out
-
-
-# A flight made ready for the search: what is airborne, which rows are real, where it rested.
 
 
 LEAST_AIR_S = 4.0
@@ -441,10 +426,10 @@ class Flight:
     rests: tuple[bool, bool]
     has_accelerometer: bool
     rotor_measured: bool
-    gaps: Gaps
     up: tuple[Array, float] | None
     carried: Array | None
-    force_between: bool
+    gaps: Gaps = field(init=False)
+    force_between: bool = field(init=False)
     orientation: Array = field(init=False)
     carried_orientation: Array = field(init=False)
     upward: Array = field(init=False)
@@ -454,11 +439,18 @@ class Flight:
         angles = np.zeros_like(self.run.gyro) if self.attitude is None else self.run.attitude
         reported = quaternion_rows(angles)
         carried = reported if self.carried is None else quaternion_rows(self.carried)
-        object.__setattr__(self, "orientation", reported)
-        object.__setattr__(self, "carried_orientation", carried)
-        object.__setattr__(self, "upward", rotation_matrix(angles[self.rows])[:, 2])
-        told = measured_squares(self.run) if self.rotor_measured else None
-        object.__setattr__(self, "rotors", told)
+        # Only where the angles are: what shakes a craft can look like that.
+        between = self.attitude is not None and self.attitude.between
+        made = {
+            "gaps": Gaps(~self.known[self.rows]),
+            "force_between": between and force_read_between(self.run.accelerometer[self.rows]),
+            "orientation": reported,
+            "carried_orientation": carried,
+            "upward": rotation_matrix(angles[self.rows])[:, 2],
+            "rotors": measured_squares(self.run) if self.rotor_measured else None,
+        }
+        for name, one in made.items():
+            object.__setattr__(self, name, one)
 
     @property
     def period_s(self) -> float:
@@ -510,37 +502,28 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
         attitude = attitude_rows(run, known, first, last) if has_attitude else None
         settled = min(air.stop + round(TOUCH_DOWN_S / period), len(run))
         whole = slice(air.start if rests[0] else first, settled if rests[1] else last)
+        mean_up = None
+        if has_accelerometer and attitude is not None:
+            up = rotation_matrix(run.attitude[whole])[:, 2]
+            along = np.einsum("ni,ni->n", up, run.accelerometer[whole])
+            mean_up = up.mean(axis=0), float(along.mean())
         flights.append(
             Flight(
                 run,
                 known,
                 first,
                 last,
-                attitude,
-                air.height_m,
-                whole,
-                rests,
-                has_accelerometer,
-                measured,
-                Gaps(~known[first:last]),
-                _mean_up(run, whole) if has_accelerometer and attitude is not None else None,
-                None if attitude is None else _carried(run, attitude, air.start),
-                is_force_between(run, attitude, first, last),
+                attitude=attitude,
+                height_m=air.height_m,
+                whole=whole,
+                rests=rests,
+                has_accelerometer=has_accelerometer,
+                rotor_measured=measured,
+                up=mean_up,
+                carried=None if attitude is None else _carried(run, attitude, air.start),
             )
         )
     return flights
-
-
-def is_force_between(run: Run, attitude: AttitudeRows | None, first: int, last: int) -> bool:
-    """Whether rows of the accelerometer are means of two readings. Only where the angles are: what
-    shakes a craft can look like that."""
-    there = attitude is not None and attitude.between
-    return there and force_read_between(run.accelerometer[first:last])
-
-
-def _mean_up(run: Run, rows: slice) -> tuple[Array, float]:
-    up = rotation_matrix(run.attitude[rows])[:, 2]
-    return up.mean(axis=0), float(np.einsum("ni,ni->n", up, run.accelerometer[rows]).mean())
 
 
 def _carried(run: Run, rows: AttitudeRows, start: int) -> Array:
@@ -598,7 +581,7 @@ def _velocity(
     """Velocity (n, 3) in m/s, forward, left, up, from quaternions (4, n) and specific force (n, 3).
 
     At each row what the rows before tell, from row ``first`` on. start: inertial velocity (3,)
-    there (``prediction/start_velocity.py``). Steady speed, and what an offset of the sensors would
+    there (``start_velocity``). Steady speed, and what an offset of the sensors would
     add, are forgotten (two leaks of time constant ``leak_s``).
     """
     from groundstation.identification.likelihood.kernels import body_velocity
@@ -607,9 +590,6 @@ def _velocity(
     velocity = np.zeros_like(force)
     body_velocity(orientation, force, STANDARD_GRAVITY, period_s, leak_s, first, start, velocity)
     return velocity
-
-
-# The noise of recorded rotor speeds beside their motion.
 
 
 NOISE_FROM = 0.6
@@ -646,3 +626,186 @@ def speed_spectrum(flight: Flight) -> SpeedSpectrum:
         floor = (hz > NOISE_FROM * top) & (hz < top)
         noise = float(np.median(power[floor], axis=0).sum() / np.log(2.0))
     return SpeedSpectrum(hz, power.sum(axis=1), noise)
+
+
+LEAST_S, PIECE_S = 4.0, 1.0
+"""Shortest sum of stretches, and shortest stretch, worth identifying on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Consecutive airborne rows of a run, with the rotors behind them.
+
+    first: its first row in ``run``. squares, run: of the whole run, so that interpolation and
+    motor speeds know what came before. motor: the constants the rotors were simulated with, None
+    where their speeds were measured.
+    """
+
+    run: Run
+    squares: RotorSquares
+    first: int
+    last: int
+    motor: MotorConstants | Motors | None = None
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.last)
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+
+def stretches_of(
+    runs: Sequence[Run],
+    motor: MotorConstants | Motors,
+    measured: bool = False,
+    selection: Selection = EVERYTHING,
+) -> list[Stretch]:
+    """The airborne parts of runs, or what a selection chooses of them: pieces of 1 s and more.
+
+    Motors are simulated over whole runs. measured: recorded rotor speeds instead.
+
+    Raises BadInputError where less than 4 s are left, or where the gyro is missing.
+    """
+    found: list[Stretch] = []
+    parts: list[Run] = []
+    if measured:  # the parts in which every rotor's speed was; as they are where none was
+        for run in runs:
+            told = np.asarray(np.isfinite(run.rotor_rev_s).all(axis=1))
+            parts += run.parts(told, PIECE_S)
+    for run in parts or runs:
+        require_known(run, ("gyro",), "without body rates nothing can be fitted")
+        squares = measured_squares(run) if measured else rotor_squares(run, motor)
+        chosen = airborne(run) & selected(run, selection)
+        for first, last in spans(chosen):
+            if (last - first) * run.period_s >= PIECE_S:
+                found.append(Stretch(run, squares, first, last, None if measured else motor))
+    seconds = sum(len(one) * one.run.period_s for one in found)
+    if seconds < LEAST_S:
+        names = ", ".join(sorted({run.name for run in runs}))
+        wanted = "" if selection == EVERYTHING else f" that is {selection}"
+        raise BadInputError(
+            f"{names}: {seconds:.1f} s of uninterrupted flight after take-off{wanted}, at least"
+            f" {LEAST_S:.0f} s are needed; record longer"
+            + (" or choose more of it" if wanted else "")
+        )
+    return found
+
+
+def quicker(motor: MotorConstants, factor: float) -> MotorConstants:
+    """A motor that reaches the same speeds so much faster."""
+    return MotorConstants(motor.a0 * factor, motor.a1 * factor, motor.a2 * factor)
+
+
+def paced(stretch: Stretch, factor: float) -> Stretch:
+    """The stretch with motors that reach the same speeds so much faster."""
+    if stretch.motor is None or factor == 1.0:
+        return stretch
+    m1, m2, m3, m4 = (quicker(one, factor) for one in each_motor(stretch.motor))
+    motors = (m1, m2, m3, m4)
+    return replace(stretch, motor=motors, squares=rotor_squares(stretch.run, motors))
+
+
+# Which rows are fitted and which are held out, where nobody names recordings for it.
+#
+# The last third. Where that third has, or leaves the fit, hardly any of the excitation of an
+# axis, the first or the middle one; and where axes are flown one after the other, so that every
+# third is needed by the fit, the last third of each third.
+
+
+Span = tuple[int, int]
+
+LAST, IN_PIECES = "last third", "last third of each third"
+HELD: dict[str, tuple[tuple[float, float], ...]] = {
+    LAST: ((2 / 3, 1.0),),
+    "first third": ((0.0, 1 / 3),),
+    "middle third": ((1 / 3, 2 / 3),),
+    IN_PIECES: ((2 / 9, 3 / 9), (5 / 9, 6 / 9), (8 / 9, 1.0)),
+}
+"""Shares of the rows that are held out, of each recording or of all of them in a row."""
+SERVES = 0.3
+"""Least share of its fair part of the excitation that either side of a division must have."""
+
+
+def best_way(recordings: Sequence[Array], least_rows: float) -> str:
+    """Which of ``HELD``, by the ``excitation`` (n, 4) of each recording's rows.
+
+    The last third where it serves, otherwise the third that divides best; pieces only where no
+    third serves and each has ``least_rows``, for each begins without knowing what came before.
+    """
+    fair = {way: _fairness(recordings, way) for way in HELD}
+    if fair[LAST] >= SERVES:
+        return LAST
+    best = max((way for way in HELD if way != IN_PIECES), key=lambda way: fair[way])
+    long = min(len(rows) for rows in recordings) / 9 >= least_rows
+    return IN_PIECES if long and fair[best] < min(SERVES, fair[IN_PIECES]) else best
+
+
+def cut(way: str, lengths: Sequence[int]) -> list[tuple[list[Span], list[Span]]]:
+    """(fitted, held out) rows of each part of so many rows, cut as if they were one."""
+    rows, begin, found = sum(lengths), 0, []
+    edges = [(round(rows * first), round(rows * last)) for first, last in HELD[way]]
+    for length in lengths:
+        fitted, held, at = [], [], 0
+        for edge in edges:
+            a, b = (min(max(one - begin, 0), length) for one in edge)
+            if a > at:
+                fitted.append((at, a))
+            if b > a:
+                held.append((a, b))
+            at = max(at, b)
+        if at < length:
+            fitted.append((at, length))
+        begin += length
+        found.append((fitted, held))
+    return found
+
+
+def hold_out(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """(to fit on, to validate on): the last third of all rows, cutting a run where needed."""
+    fit_on: list[Run] = []
+    held_out: list[Run] = []
+    for run, (fitted, held) in zip(runs, cut(LAST, [len(run) for run in runs]), strict=True):
+        fit_on += [run[a:b] for a, b in fitted]
+        held_out += [run[a:b] for a, b in held]
+    return fit_on, held_out
+
+
+def divided(
+    stretches: Sequence[Stretch], configuration: str, least_s: float = LEAST_S
+) -> tuple[list[Stretch], list[Stretch], str]:
+    """(to fit on, to validate on, which rows of all of them these are in words).
+
+    Of several recordings the last ones are held out, so that the fit has whole flights. least_s:
+    shortest piece that says anything.
+    """
+    moved = np.vstack([excitation(one.run, configuration)[one.rows] for one in stretches])
+    way = best_way([moved], least_s / stretches[0].run.period_s)
+    fit_on: list[Stretch] = []
+    held_out: list[Stretch] = []
+    lengths = [len(one) for one in stretches]
+    for one, (fitted, held) in zip(stretches, cut(way, lengths), strict=True):
+        for found, cuts in ((fit_on, fitted), (held_out, held)):
+            found += [replace(one, first=one.first + a, last=one.first + b) for a, b in cuts]
+    return fit_on, held_out, way
+
+
+def excitation(run: Run, configuration: str) -> Array:
+    """What moves the craft about roll, pitch and yaw, and lifts it (n, 4), row by row: squares of
+    duties, of rotor speeds where no duty is recorded."""
+    driven = run.duty if np.isfinite(run.duty).any() else run.rotor_rev_s
+    squares = without_gaps(replace(run, duty=driven)).duty ** 2
+    return np.column_stack([squares @ MIXERS[configuration].T, squares.sum(axis=1)])
+
+
+def _fairness(recordings: Sequence[Array], way: str) -> float:
+    """The least share of its fair part that fitted or held-out rows have of the energy of roll,
+    pitch, yaw or thrust."""
+    fitted, held = np.zeros(4), np.zeros(4)
+    for moved in recordings:
+        energy = (moved - moved.mean(axis=0)) ** 2
+        ((_, spans),) = cut(way, [len(moved)])
+        here = sum((energy[a:b].sum(axis=0) for a, b in spans), np.zeros(4))
+        fitted, held = fitted + energy.sum(axis=0) - here, held + here
+    every = np.maximum(fitted + held, 1e-300)
+    return float(np.minimum(1.5 * fitted / every, 3.0 * held / every).min())

@@ -1,6 +1,4 @@
-"""The report of an identification: what to do next, what was found, how sure it is, what is
-left over.
-"""
+"""The report of an identification: what to do next, what was found, how sure it is."""
 
 from __future__ import annotations
 
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.meanings import (
     DESIGN,
+    POOR,
     Use,
     arx_meaning,
     meaning_of,
@@ -25,9 +24,17 @@ from groundstation.dynamics.meanings import (
 from groundstation.dynamics.model import Model, Turning
 from groundstation.dynamics.sensors import shown_rotors
 from groundstation.errors import BadInputError
-from groundstation.identification.arx.workflow import with_arx_attitude
-from groundstation.identification.estimate import CorrelationTest, Estimates
-from groundstation.identification.fit_record import Evidence, Identified, ResidualTest, Step, Trace
+from groundstation.identification.arx import with_arx_attitude
+from groundstation.identification.estimate import (
+    CorrelationTest,
+    Estimates,
+    Evidence,
+    Identified,
+    ResidualTest,
+    Step,
+    Trace,
+    numbers_of,
+)
 from groundstation.identification.runs import EVERYTHING, Run, require_known
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
 from groundstation.report.page import (
@@ -54,13 +61,8 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.text import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-# What a fit begins with, in plain words: what it is good for, what to do next, what to mind.
 
 
 SLOW_HZ = 400.0
@@ -95,22 +97,19 @@ def next_of(account: Mapping[str, Any]) -> str:
         return "fit the body with it: groundstation fit body FLIGHTS --model THIS -o BODY"
     if account["what"] == "arx":
         return "compare it with the body model on another flight: groundstation compare."
+    if account.get("quality") == POOR:
+        return "look for what is missing: groundstation discrepancy FLIGHTS --model THIS."
     if left := account.get("left_out"):
         names = listed([title_of(name) for name in left])
-        return f"what these flights show besides ({names}) into the file: {_again(account, left)}"
+        held, files = account.get("held_out"), account.get("recordings", ())
+        words = ["groundstation fit body", *([one["file"] for one in files] or ["FLIGHTS"])]
+        if isinstance(held, list):
+            words += ["--validate", *(one["file"] for one in held)]
+        again = " ".join([*words, "-o NEW_FILE", "--with", ",".join(left)])
+        return f"what these flights show besides ({names}) into the file: {again}"
     if weak := _weakest(account):
         return f"{_remedy(account, weak)}, and fit both recordings together."
     return "look for what is missing: groundstation discrepancy, with another flight as --validate."
-
-
-def _again(account: Mapping[str, Any], effects: Sequence[str]) -> str:
-    """The command that fits the same with effects that were left out."""
-    held = account.get("held_out")
-    files = [one["file"] for one in account.get("recordings", ())] or ["FLIGHTS"]
-    words = ["groundstation fit body", *files]
-    if isinstance(held, list):
-        words += ["--validate", *(one["file"] for one in held)]
-    return " ".join([*words, "-o NEW_FILE", "--with", ",".join(effects)])
 
 
 def advice_of(account: Mapping[str, Any], failed: Sequence[str]) -> list[Advice]:
@@ -120,40 +119,24 @@ def advice_of(account: Mapping[str, Any], failed: Sequence[str]) -> list[Advice]
     shares = _shares(account)
     for name, reason in account.get("not_identified", {}).items():
         axis = MOVES[name][0]
-        found.append(
-            Advice(
-                f"{axis.capitalize()} is not identified: {reason}",
-                f"The file has the profile's {name}; its {axis} is a guess",
-                _remedy(account, name).capitalize(),
-            )
-        )
+        what = f"{axis.capitalize()} is not identified: {reason}"
+        meant = f"The file has the profile's {name}; its {axis} is a guess"
+        found.append(Advice(what, meant, _remedy(account, name).capitalize()))
     for name, share in shares.items():
         if name in MOVES and name not in account.get("not_identified", {}) and share > DESIGN:
             axis, fly = MOVES[name]
-            found.append(
-                Advice(
-                    f"{axis.capitalize()} is known to {100 * share:.0f} % only",
-                    "Gains that are designed on it may be off by as much",
-                    fly.capitalize(),
-                )
-            )
+            what = f"{axis.capitalize()} is known to {100 * share:.0f} % only"
+            meant = "Gains that are designed on it may be off by as much"
+            found.append(Advice(what, meant, fly.capitalize()))
     if account["what"] == "body" and 0.0 < account.get("rate_hz", 0.0) < SLOW_HZ:
         hz = account["rate_hz"]
-        found.append(
-            Advice(
-                f"{hz:.0f} samples a second show one in {500.0 / hz:.1f} of the motors' settings",
-                "What the craft was told between them is unknown, and counts in the errors",
-                "Record 500 a second, or rotor speeds",
-            )
-        )
+        what = f"{hz:.0f} samples a second show one in {500.0 / hz:.1f} of the motors' settings"
+        meant = "What the craft was told between them is unknown, and counts in the errors"
+        found.append(Advice(what, meant, "Record 500 a second, or rotor speeds"))
     if failed:
-        found.append(
-            Advice(
-                f"The input still shows in what is left of {listed(list(failed))}",
-                "Something acts there that the model does not have",
-                "Search with groundstation discrepancy",
-            )
-        )
+        what = f"The input still shows in what is left of {listed(list(failed))}"
+        meant = "Something acts there that the model does not have"
+        found.append(Advice(what, meant, "Search with groundstation discrepancy"))
     return found
 
 
@@ -165,10 +148,9 @@ def _motor(account: Mapping[str, Any]) -> tuple[str, str]:
     if held:
         fits = [one["rotor_fit_percent"] for one in held]
         text += f", and its speed on unseen data fits by {min(fits):.1f} %"
-    good = share <= DESIGN and not (held and min(fits) < 0.0)
-    return f"{text}: {'good enough for body fits and design' if good else 'a start'}.", (
-        "good" if good else "bad"
-    )
+    if share <= DESIGN and not (held and min(fits) < 0.0):
+        return f"{text}: good enough for body fits and design.", "good"
+    return f"{text}: a start.", "bad"
 
 
 def _arx(account: Mapping[str, Any]) -> tuple[str, str]:
@@ -176,20 +158,17 @@ def _arx(account: Mapping[str, Any]) -> tuple[str, str]:
     failed = [
         axis for axis, one in account["axes"].items() if not one["cross_correlation"]["passes"]
     ]
-    left = (
-        f"; the input still shows in what is left of {listed(failed)}: for a first, cautious design"
-        if failed
-        else "; nothing of the input is left: good enough to design with"
-    )
-    return f"Chosen: {chosen}{left}.", "bad" if failed else "good"
+    if failed:
+        left = f"the input still shows in what is left of {listed(failed)}"
+        return f"Chosen: {chosen}; {left}: for a first, cautious design.", "bad"
+    return f"Chosen: {chosen}; nothing of the input is left: good enough to design with.", "good"
 
 
 def _shares(account: Mapping[str, Any]) -> dict[str, float]:
     """Standard error over value of each constant."""
-    found = account.get("estimates") or {"names": (), "values": (), "stderr": ()}
     return {
         name: float(error / abs(value)) if value else float(np.inf)
-        for name, value, error in zip(found["names"], found["values"], found["stderr"], strict=True)
+        for name, value, error in numbers_of(account)
         if "." not in name and not name.endswith("_s")
     }
 
@@ -250,9 +229,8 @@ def simulate_run(
     """Fly a body model, with its effects, on a run's PWM and battery voltage.
 
     The motors run through; every ``window_s`` the rest starts afresh from the state that was
-    observed until then, because no model of an unstable craft can follow a flight for long. The
-    row of a fresh start is the measured one. turning: what turns the craft, the body or the model's
-    ARX polynomials, which start from what was measured.
+    observed until then, because no model of an unstable craft can follow a flight for long.
+    turning: what turns the craft, the body or the model's ARX polynomials.
 
     Raises BadInputError where the run lacks PWM, battery voltage, gyro or attitude.
     """
@@ -329,9 +307,6 @@ def rms_of(errors: Array) -> Array:
     return np.where(count, np.sqrt(square.sum(axis=0) / np.maximum(count, 1)), np.nan)
 
 
-# The report of an identification: what was found, how sure it is, and what is left over.
-
-
 MOST_PERCENT = 1e4
 Meaning = Callable[[str], tuple[str, str]]
 TITLES = {"motor": "Motor", "body": "Body", "arx": "ARX models"}
@@ -355,11 +330,10 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         page.bullets(account["findings"])
     for title, estimates in evidence.estimates.items():
         page.heading("Parameters" if len(evidence.estimates) == 1 else f"Parameters: {title}")
-        meaning = (
-            _arx_meaning(model, title, account["channel"])
-            if account["what"] == "arx"
-            else meaning_of
-        )
+        meaning: Meaning = meaning_of
+        if account["what"] == "arx":
+            axis = (model.arx or {})[title.partition(" ")[0]]
+            meaning = partial(arx_meaning, axis=axis, rates=account["channel"] == "gyro")
         _parameters(page, estimates, account, meaning)
     page.heading("Measured and modelled")
     page.text("Rows that no fit has seen, where the channel moves most.")
@@ -368,7 +342,7 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
     _held_out(page, account)
     if evidence.preparation is not None:
         page.heading("Before the fit")
-        for drawn, words in evidence.preparation.figures():
+        for drawn, words in evidence.preparation():
             page.figure(drawn, words)
     if evidence.steps:
         page.heading("Step responses")
@@ -387,28 +361,18 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         " With a slow input neighbouring values leave the band together; the verdict allows for it."
     )
     for test in evidence.residuals:
-        page.figure(residual(test), residual_text(test))
-    _recordings(page, account)
-    return page
-
-
-def _recordings(page: Page, account: dict[str, Any]) -> None:
+        white = "white" if test.whiteness.passes else "not white"
+        left = "nothing of the input is left" if test.cross.passes else "the input still shows"
+        page.figure(residual(test), f"{test.channel}: {white}, {left}.")
     held = account["held_out"] if isinstance(account["held_out"], list) else []
+    used = ((account["recordings"], "fitted"), (held, "held out"))
     page.heading("Recordings")
     page.table(
         ["file", "sha256", "used"],
-        [
-            *([one["file"], one["sha256"], "fitted"] for one in account["recordings"]),
-            *([one["file"], one["sha256"], "held out"] for one in held),
-        ],
+        [[one["file"], one["sha256"], how] for some, how in used for one in some],
         "" if held else f"Held out: the {account['held_out']} of all rows.",
     )
-
-
-def _arx_meaning(model: Model, title: str, channel: str) -> Meaning:
-    """Of the coefficients of the axis that a title begins with."""
-    polynomial = (model.arx or {})[title.partition(" ")[0]]
-    return lambda name: arx_meaning(name, polynomial, rates=channel == "gyro")
+    return page
 
 
 def _parameters(
@@ -417,39 +381,17 @@ def _parameters(
     """meaning_in_words: (unit, meaning) of a name."""
     interval = estimates.interval()
     rows: list[list[Cell]] = []
-    for i, name in enumerate(estimates.names):
-        value, error = float(estimates.values[i]), float(estimates.stderr[i])
+    for i, (name, value, error) in enumerate(estimates.rows):
         unit, meaning = meaning_in_words(name)
         unknown = name in account.get("not_identified", {})
         if "." in name and abs(value) < 1.96 * error:
             meaning += "; not distinguishable from zero"
         elif unknown:
             meaning += "; not identified: the file has the profile's"
-        rows.append(
-            [
-                name,
-                value,
-                error,
-                unit,
-                100 * error / abs(value) if value and not unknown else None,
-                float(interval[i, 0]),
-                float(interval[i, 1]),
-                meaning,
-            ]
-        )
-    page.table(
-        [
-            "parameter",
-            "value",
-            "standard error",
-            "unit",
-            "%",
-            "95 % from",
-            "to",
-            "meaning",
-        ],
-        rows,
-    )
+        share = 100 * error / abs(value) if value and not unknown else None
+        rows.append([name, value, error, unit, share, *interval[i].tolist(), meaning])
+    head = ["parameter", "value", "standard error", "unit", "%", "95 % from", "to", "meaning"]
+    page.table(head, rows)
     if len(estimates.names) > 1:
         page.figure(
             certainty(estimates),
@@ -529,13 +471,6 @@ def _stems(axes: Axes, test: CorrelationTest, label: str) -> None:
     axes.set_xlabel(label)
 
 
-def residual_text(test: ResidualTest) -> str:
-    """What the correlations say."""
-    white = "white" if test.whiteness.passes else "not white"
-    input_ = "nothing of the input is left" if test.cross.passes else "the input still shows"
-    return f"{test.channel}: {white}, {input_}."
-
-
 def certainty(estimates: Estimates) -> Figure:
     """Correlation of estimates, and their errors as shares of their values."""
     labels = [name.replace(".", "\n") for name in estimates.names]
@@ -595,9 +530,6 @@ def steps(shown: Sequence[Step]) -> Figure:
     return made
 
 
-# Fits and replayed flights as the Python API shows them.
-
-
 SHOWN_S = 5.0
 
 
@@ -608,11 +540,9 @@ def identified(one: Identified) -> Shown:
     }
     pictures: dict[str, Callable[[], Figure]] = {}
     for part, estimates in one.evidence.estimates.items():
-        interval = estimates.interval()
-        for k, name in enumerate(estimates.names):
-            row = (part, name, estimates.values[k], estimates.stderr[k], *interval[k])
-            for column, cell in zip(columns.values(), row, strict=True):
-                column.append(cell if isinstance(cell, str) else float(cell))
+        for row, ends in zip(estimates.rows, estimates.interval().tolist(), strict=True):
+            for column, cell in zip(columns.values(), (part, *row, *ends), strict=True):
+                column.append(cell)
         if len(estimates.names) > 1:
             several = len(one.evidence.estimates) > 1
             name = f"certainty {part}" if several else "certainty"

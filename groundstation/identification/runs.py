@@ -1,6 +1,4 @@
-"""Runs: uninterrupted stretches of a recording on an even time grid, and what drives the craft
-in them.
-"""
+"""Runs: uninterrupted stretches of a recording on an even time grid, and what drives them."""
 
 from __future__ import annotations
 
@@ -85,8 +83,6 @@ def at_the_rows_voltage(
     return duty + 0.5 * more, step - more
 
 
-# Runs: uninterrupted stretches of a recording on an even time grid.
-#
 # Every estimate works on runs, so that a gap, a restart or another sample rate can never be read
 # as motion. A run may be cut further: by hand, or into what is fitted and what is held out.
 
@@ -108,7 +104,7 @@ class Run:
     gyro: (n, 3) rad/s. accelerometer: (n, 3) m/s^2. attitude: (n, 3) rad.
     rotor_rev_s: (n, 4) measured speeds. debug_s: (n,) half a rotor revolution on the motor bench,
     in seconds. duty_step: (n, 4), where ``duty`` is the mean of two settings, the second less the
-    first, both at the row's voltage (``supply_answer``). start_s: device time of the first row;
+    first, both at the row's voltage (``SupplyAnswer``). start_s: device time of the first row;
     recording_start_s: of the recording's. A channel that is not there is NaN.
     """
 
@@ -155,6 +151,10 @@ class Run:
         parts = {name: getattr(self, name)[first:last] for name in CHANNELS}
         return replace(self, start_s=self.start_s + first * self.period_s, **parts)
 
+    def parts(self, chosen: Mask, least_s: float) -> list[Run]:
+        """The stretches of chosen rows (n,) that last ``least_s``."""
+        return [self[a:b] for a, b in spans(chosen) if (b - a) * self.period_s >= least_s]
+
 
 def both_settings(duty: Array, step: Array) -> Array:
     """Settings (2 n, 4) from their means (n, 4) and the second less the first (n, 4); the means
@@ -179,8 +179,12 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
     label = name or "recording"
     start = float(samples.time_s[0]) if len(samples) else 0.0
     samples = on_even_grid(with_readings(with_possible_duty(samples, label), ("gyro", "duty")))
+
+    def uneven(steps: Array, usual_s: float) -> Mask:
+        return np.abs(steps - usual_s) > STEP_TOLERANCE * usual_s
+
     found = []
-    for rows in uninterrupted(samples, label, least_s, _uneven):
+    for rows in uninterrupted(samples, label, least_s, uneven):
         part = samples[rows]
         time = part.time_s
         period = float((time[-1] - time[0]) / (len(part) - 1))
@@ -288,10 +292,8 @@ def with_readings(
 def uninterrupted(
     samples: SampleBatch, label: str, least_s: float, breaks: Callable[[Array, float], Mask]
 ) -> list[slice]:
-    """Rows of the stretches of a recording that last at least ``least_s``.
-
-    A restart ends a stretch, and so does what ``breaks`` says of (steps (n - 1,) s, the usual
-    one).
+    """Rows of the stretches of a recording that last at least ``least_s``. A restart ends one, and
+    so does what ``breaks`` says of (steps (n - 1,) s, the usual one).
 
     Raises TooShortError where no stretch is long enough, BadInputError where the rate is not one of
     inertial telemetry.
@@ -319,10 +321,6 @@ def uninterrupted(
     return [slice(int(edges[k]), int(edges[k + 1])) for k in long]
 
 
-def _uneven(steps: Array, usual_s: float) -> Mask:
-    return np.abs(steps - usual_s) > STEP_TOLERANCE * usual_s
-
-
 # Recordings as the search wants them: whole flights on an even grid, lost rows as NaN.
 #
 # Identification cuts a recording at every gap. A radio that loses two rows in a hundred would leave
@@ -335,10 +333,7 @@ LONGEST_GAP_S = 0.1
 ESSENTIAL = ("duty", "accelerometer")
 """Channels whose longer silences end a run, where they read elsewhere; the gyro's any does."""
 LEAST_S = 5.0
-SOURCES = {
-    "duty": "what the motors are set to",
-    "gyro": "the gyro",
-}
+SOURCES = {"duty": "what the motors are set to", "gyro": "the gyro"}
 """Fields that the fits need in every row, in words."""
 
 
@@ -355,21 +350,22 @@ def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -
     label = name or "recording"
     possible = with_readings(with_possible_duty(samples, label), ESSENTIAL, LONGEST_GAP_S)
     whole = renewed(on_even_grid(possible), label)
-    read: NDArray[np.bool_] = np.asarray(np.isfinite(whole.gyro).all(axis=1))
+    read: Mask = np.asarray(np.isfinite(whole.gyro).all(axis=1))
     if read.any() and not read.all():
         whole = whole[read]
-    return [
-        _on_grid(whole[rows], label, float(samples.time_s[0]))
-        for rows in uninterrupted(whole, label, least_s, _silent)
-    ]
+
+    def silent(steps: Array, _usual_s: float) -> Mask:
+        return (steps > LONGEST_GAP_S) | (steps < 0)
+
+    parts = uninterrupted(whole, label, least_s, silent)
+    return [_on_grid(whole[rows], label, float(samples.time_s[0])) for rows in parts]
 
 
 def renewed(samples: SampleBatch, label: str) -> SampleBatch:
     """The rows in which the slower of gyro and motors is renewed, where rows come faster than it.
 
-    What acted between two of them is then as unknown as in a recording of that rate, and counts as
-    much. Rotor speeds that were measured drive a flight in place of the motors' settings, and
-    how long they are held is part of their own noise (``speed_noise``).
+    What acted between two of them is then as unknown as in a recording of that rate. Rotor speeds
+    that were measured drive a flight in place of the motors' settings.
 
     Raises BadInputError where it is renewed too seldom for inertial telemetry.
     """
@@ -436,10 +432,6 @@ def flights_of_each(
     return found, [f"left out: {error}" for error in short]
 
 
-def _silent(steps: NDArray[np.float64], usual_s: float) -> NDArray[np.bool_]:
-    return (steps > LONGEST_GAP_S) | (steps < 0)
-
-
 def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:
     """Rows on a grid whose period is the mean over steps without a gap."""
     time = samples.time_s
@@ -449,21 +441,15 @@ def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:
     period = float((time[-1] - time[0]) / place[-1])
     count = int(place[-1]) + 1
 
-    def grid(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def grid(values: Array) -> Array:
         out = np.full((count, *values.shape[1:]), np.nan)
         out[place] = np.where(np.isfinite(values), values, np.nan)
         return out
 
-    attitude = _unwrapped(samples.attitude.astype(np.float64))
-    return run_of(samples, attitude, label, period, recording_start_s, grid)
-
-
-def _unwrapped(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles (n, 3) without jumps of a turn, across rows that do not read as well."""
-    out = attitude.copy()
+    attitude = samples.attitude.astype(np.float64)
     known = np.isfinite(attitude).all(axis=1)
-    out[known] = np.unwrap(attitude[known], axis=0)
-    return out
+    attitude[known] = np.unwrap(attitude[known], axis=0)
+    return run_of(samples, attitude, label, period, recording_start_s, grid)
 
 
 def bridged(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:
@@ -483,9 +469,6 @@ def without_gaps(run: Run) -> Run:
             if (last - first) * run.period_s > LONGEST_GAP_S:
                 parts["rotor_rev_s"][first:last, rotor] = np.nan
     return replace(run, **parts)
-
-
-# Which seconds of a recording to identify on.
 
 
 @dataclass(frozen=True, slots=True)
@@ -508,18 +491,16 @@ EVERYTHING = Selection()
 
 def parse_selection(segments: tuple[str, ...] = ()) -> Selection:
     """A selection as typed: ``12.5:40`` (seconds). Raises BadInputError."""
-    return Selection(tuple(span_of(text, "--segment") for text in segments))
-
-
-def span_of(text: str, option: str) -> tuple[float, float]:
-    """Seconds as typed after an option: ``12.5:40``. Raises BadInputError."""
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        low, high = math.nan, math.nan
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise BadInputError(f"{option} {text}: give two rising numbers, for instance 12.5:40")
-    return low, high
+    spans_s = []
+    for text in segments:
+        try:
+            low, high = (float(part) for part in text.split(":"))
+        except ValueError:
+            low, high = math.nan, math.nan
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise BadInputError(f"--segment {text}: give two rising numbers, for instance 12.5:40")
+        spans_s.append((low, high))
+    return Selection(tuple(spans_s))
 
 
 def selected(run: Run, selection: Selection) -> Mask:
@@ -567,13 +548,9 @@ def by_saturation(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
 
 
 def rotor_squares(run: Run, motor: MotorConstants | Motors) -> RotorSquares:
-    """Squared rotor speeds by simulating the motors.
+    """Squared rotor speeds by simulating the motors, settled at the first row's voltage.
 
-    The motors start settled at the first row's voltage; what is wrong with that is gone after
-    half a second.
-
-    Raises BadInputError where duty or battery voltage are missing, and where the motors are
-    saturated throughout.
+    Raises BadInputError where duty or battery voltage are missing, or motors mostly saturated.
     """
     settings = run.settings
     each = len(settings) // len(run)
@@ -597,25 +574,17 @@ def measured_squares(run: Run) -> RotorSquares:
     Raises BadInputError where some rows have none.
     """
     require_known(run, ("rotor_rev_s",), "fit without --measured-rotors")
-    return squares_between(_smoothed(run))
+    # Speeds count by their steps from row to row (the rotors' acceleration turns the craft as
+    # well), which are mostly noise as they come: parabolas over ``SMOOTH_S`` have less of it.
+    from scipy.signal import savgol_filter
+
+    width = 2 * round(0.5 * SMOOTH_S / run.period_s) + 1
+    if width <= 3:
+        return squares_between(run.rotor_rev_s)
+    return squares_between(np.asarray(savgol_filter(run.rotor_rev_s, width, 2, axis=0), np.float64))
 
 
 def squares_between(speed: Array) -> RotorSquares:
     """Squares of speeds (n, 4), rev/s, which are straight between rows."""
     before = np.vstack([speed[:1], speed[:-1]])
     return RotorSquares((speed**2 + before**2 + before * speed) / 3, speed**2)
-
-
-def _smoothed(run: Run) -> Array:
-    """Measured speeds with less noise: parabolas over ``SMOOTH_S`` around each row.
-
-    Speeds count by their steps from row to row (the rotors' acceleration turns the craft as
-    well), which are mostly noise as they come: on real flights the torque of accelerating rotors
-    drowns in it.
-    """
-    from scipy.signal import savgol_filter
-
-    width = 2 * round(0.5 * SMOOTH_S / run.period_s) + 1
-    if width <= 3:
-        return run.rotor_rev_s
-    return np.asarray(savgol_filter(run.rotor_rev_s, width, 2, axis=0), np.float64)

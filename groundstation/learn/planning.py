@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -32,10 +33,9 @@ from groundstation.errors import BadInputError, GroundStationError
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import BODY_KEYS, KEYS, point_of
-from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.spectra import quadratic
+from groundstation.identification.likelihood.problem import Problem, quadratic
 from groundstation.identification.runs import Run, flights_of
-from groundstation.paths import write_whole
+from groundstation.paths import write_whole, writing
 from groundstation.recording.formats import open_for_analysis
 from groundstation.recording.session import Recording
 from groundstation.telemetry.arrays import Array
@@ -104,9 +104,14 @@ class Task(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     craft: Craft | None = None
 
 
+BEING_WRITTEN = "being written"
+"""``Journal.gains`` from before gains are written until they are, or the program ends."""
+
+
 class Journal(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """flights: in order, those cut short too. said: after each landing. gains: what became of the
-    new ones: ``written``, ``put back`` or why there are none; former: those before."""
+    new ones: ``BEING_WRITTEN``, ``written``, ``put back`` or why there are none; former: those
+    before."""
 
     task: Task
     flights: list[Landed] = []
@@ -135,13 +140,9 @@ class Journal(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     def save(self, folder: Path) -> None:
         """Whole or not at all. Raises BadInputError."""
-        try:
-            text = msgspec.json.format(msgspec.json.encode(self), indent=1)
+        text = msgspec.json.format(msgspec.json.encode(self), indent=1)
+        with writing(folder / JOURNAL, BadInputError):
             write_whole(folder / JOURNAL, text, durable=True)
-        except OSError as error:
-            raise BadInputError(
-                f"{folder / JOURNAL}: cannot be written: {error.strerror}"
-            ) from error
 
 
 def journal_in(folder: Path) -> Journal | None:
@@ -396,8 +397,10 @@ def information_of(
         if set(one.keys) <= set(keys):
             at = linear.place(one.keys)
             prior[np.ix_(at, at)] += one.at(point)[0]
-    scale = np.array([_scale(key, point) for key in keys])
-    _require_definite(prior, scale)
+    for i, key in enumerate(keys):  # what no prior holds is held by its own size
+        if prior[i, i] <= 0.0:
+            worth = KEYS[key].worth if key in KEYS else abs(point.get(key, 1.0)) or 1.0
+            prior[i, i] = worth**-2
     return Information(keys, prior, parts)
 
 
@@ -410,17 +413,6 @@ def _doubt(key: str, point: Mapping[str, float], known: Mapping[str, float]) -> 
     if key in KEYS:
         return KEYS[key].worth
     return None
-
-
-def _scale(key: str, point: Mapping[str, float]) -> float:
-    return KEYS[key].worth if key in KEYS else abs(point.get(key, 1.0)) or 1.0
-
-
-def _require_definite(prior: Array, scale: Array) -> None:
-    """What no prior holds is held by its own size: every volume is finite then."""
-    for i, one in enumerate(np.diag(prior)):
-        if one <= 0.0:
-            prior[i, i] = scale[i] ** -2
 
 
 def choose(
@@ -453,7 +445,7 @@ def choose(
 
 
 class Pilot(Protocol):
-    """Who flies, a craft or a model: ``cli.learn_flights``."""
+    """Who flies, a craft or a model: ``cli.learn``."""
 
     def fly(
         self,
@@ -467,6 +459,17 @@ class Pilot(Protocol):
     def write(self, gains: Mapping[str, float]) -> None: ...
 
     def await_battery(self) -> None: ...
+
+
+@contextmanager
+def rehearsal(
+    pilot: Pilot, programme: Any, *, seed: int, gains: Mapping[str, float] | None = None
+) -> Iterator[tuple[Flown, Path]]:
+    """A programme flown by a model: what came of it, and its recording, which goes with the
+    block."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "rehearsal.mcap"
+        yield pilot.fly(programme, file, seed=seed, gains=gains), file
 
 
 @dataclass(frozen=True, slots=True)
@@ -509,7 +512,7 @@ class Planned:
 
 
 def plan_flight(
-    rehearsal: Pilot,
+    pilot: Pilot,
     model: Model,
     limits: Limits,
     budget_s: float,
@@ -522,7 +525,7 @@ def plan_flight(
     known: standard errors of effects' sizes that flights have given already, by key. flown:
     manoeuvres of flights whose part in them is not known.
     """
-    told = rehearsed(rehearsal, model, limits, seed, known)
+    told = rehearsed(pilot, model, limits, seed, known)
     seconds = {name: one.held_s for name, one in library(limits).items()}
     choices = tuple(choose(told, seconds, budget_s, flown=flown))
     expected = told.errors([*flown, *(one.name for one in choices)])
@@ -530,7 +533,7 @@ def plan_flight(
 
 
 def rehearsed(
-    rehearsal: Pilot,
+    pilot: Pilot,
     model: Model,
     limits: Limits,
     seed: int = 0,
@@ -539,9 +542,7 @@ def rehearsed(
     """What each manoeuvre would tell."""
     manoeuvres = tuple(library(limits, seed).values())
     whole = FlightPlan(manoeuvres, "every manoeuvre, by the model")
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "rehearsal.mcap"
-        flown = rehearsal.fly(whole, file, seed=seed)
+    with rehearsal(pilot, whole, seed=seed) as (flown, file):
         if flown.aborted:
             raise GroundStationError(f"the model does not fly: {flown.aborted}")
         recording = open_for_analysis(file)

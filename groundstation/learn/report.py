@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from groundstation.control.step_analysis import Flown as Steps
-from groundstation.discrepancy.report_html import evidence_bars, meaning, waterfall
+from groundstation.discrepancy.report import evidence_bars, meaning, waterfall
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
 from groundstation.documents import decode_toml, read_document
 from groundstation.dynamics.meanings import meaning_of, title_of
@@ -130,17 +130,7 @@ class Outcome:
             else dict(zip(("before", "after"), map(mean_missed, self.steps), strict=True)),
             "hidden": None
             if self.hidden is None
-            else [
-                {
-                    "effect": s.effect,
-                    "parameter": s.parameter,
-                    "true": s.true,
-                    "value": s.value,
-                    "stderr": s.stderr,
-                    "inside": s.inside,
-                }
-                for s in self.hidden
-            ],
+            else [{**asdict(one), "inside": one.inside} for one in self.hidden],
             "names_right": self.names_right,
             "flights": len(self.journal.flights),
             "air_s": sum(one.seconds for one in self.journal.flights),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.control.design import RMS, Budget, cascade_limits, closest_cascade
+from groundstation.control.design import RMS, cascade_limits, design_cascade
 from groundstation.control.firmware_loop import gains_text, load_gains
 from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.programme import (
@@ -32,6 +31,7 @@ from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.identification.likelihood.motion import KEYS
 from groundstation.learn.planning import (
+    BEING_WRITTEN,
     BODY,
     HOVER,
     LANDING_S,
@@ -45,6 +45,7 @@ from groundstation.learn.planning import (
     Planned,
     flight_of,
     plan_flight,
+    rehearsal,
 )
 from groundstation.paths import write_whole
 from groundstation.recording.formats import open_for_analysis
@@ -157,7 +158,6 @@ def said_effect(name: str, parameters: Mapping[str, Any]) -> str:
 CLIENT = "learn"
 OVERSHOOT_MORE = 5.0
 """Points of a step by which an axis may overshoot more than with the gains before."""
-BUDGET = Budget(first=120, population=16, generations=20)
 ANGLE_DEG, HOLD_S, REPEATS = 10.0, 0.7, 2
 BEFORE, AFTER = "steps_before.mcap", "steps_after{}.mcap"
 """Flights of steps: with the gains before, and with new ones, numbered from 1."""
@@ -183,20 +183,20 @@ def step_flight(limits: Limits) -> StepFlight:
 
 
 def designed_gains(model: Model) -> dict[str, float]:
-    """Of each axis the gains that follow a step the closest within the limits of ``pid design``.
+    """Of each axis the gains of ``pid design``.
 
-    An axis keeps its stock gains where by the model they follow as closely. Raises BadInputError
-    where every axis does.
+    An axis keeps its stock gains where by the model they follow a step as closely. Raises
+    BadInputError where every axis does.
     """
     found: dict[str, float] = {}
     faults = []
     for axis in AXES:
         try:
-            gains, judged, stock = closest_cascade(model, axis, cascade_limits(), budget=BUDGET)
+            (one,) = design_cascade(model, [axis], cascade_limits())
         except BadInputError as error:
             faults.append(str(error))
             continue
-        found |= gains if judged[RMS] < stock[RMS] else {}
+        found |= one.gains if one.nominal[RMS] < one.stock_nominal[RMS] else {}
     if not found:
         raise BadInputError(
             "; ".join(faults) or "by the model the stock gains follow steps best on every axis"
@@ -222,18 +222,13 @@ def mean_missed(flown: Flown) -> float:
 def of_better_axes(gains: dict[str, float], before: Flown, after: Flown) -> dict[str, float]:
     """The gains of those axes that followed their steps more closely with them, and overshot them
     by no more than ``OVERSHOOT_MORE`` points more."""
-    axes = zip(before.axes, after.axes, strict=True)
     better = {
         new.axis
-        for old, new in axes
-        if missed(new) < missed(old) and overshoots_more(old, new) <= OVERSHOOT_MORE
+        for old, new in zip(before.axes, after.axes, strict=True)
+        if missed(new) < missed(old)
+        and new.measured.overshoot_pct - old.measured.overshoot_pct <= OVERSHOOT_MORE
     }
     return {name: value for name, value in gains.items() if axis_of(name) in better}
-
-
-def overshoots_more(before: FlownAxis, after: FlownAxis) -> float:
-    """By how many points of the step."""
-    return after.measured.overshoot_pct - before.measured.overshoot_pct
 
 
 def told_overshoots(before: Flown, after: Flown) -> str:
@@ -383,17 +378,8 @@ class Learner:
 
     def _fit(self, flights: list[str]) -> None:
         vehicle = ("--vehicle", self.journal.task.vehicle)
-        self._run(
-            BODY_MODEL,
-            "fit",
-            "body",
-            *flights,
-            *vehicle,
-            "-o",
-            BODY_MODEL,
-            "--html",
-            "body.html",
-        )
+        made = ("-o", BODY_MODEL, "--html", "body.html")
+        self._run(BODY_MODEL, "fit", "body", *flights, *vehicle, *made)
 
     def _plan(self, number: int, model: str, found: DiscrepancyReport | None) -> Planned:
         path = self.folder / f"plan{number}.json"
@@ -416,21 +402,9 @@ class Learner:
 
     def _search(self, number: int, flights: list[str]) -> DiscrepancyReport:
         name = f"found{number}"
-        self._run(
-            f"{name}.json",
-            "discrepancy",
-            *flights,
-            "--validate",
-            PROOF_FLIGHT,
-            "--model",
-            BODY_MODEL,
-            "-o",
-            f"{name}.model.json",
-            "--html",
-            f"{name}.html",
-            "--json",
-            f"{name}.json",
-        )
+        given = ("--validate", PROOF_FLIGHT, "--model", BODY_MODEL)
+        made = f"-o {name}.model.json --html {name}.html --json {name}.json".split()
+        self._run(f"{name}.json", "discrepancy", *flights, *given, *made)
         return read_found(self.folder / f"{name}.json")
 
     # gains
@@ -439,7 +413,7 @@ class Learner:
         """Fly the steps with the gains before and with the designed ones, without those of an axis
         that does not follow better, until all that are left do; those are written."""
         journal, loaded = self.journal, load_model(str(self.folder / model))
-        if journal.gains:
+        if journal.gains not in ("", BEING_WRITTEN):
             return
         try:
             gains = self._design(loaded)
@@ -471,19 +445,20 @@ class Learner:
         if not gains:
             self._settle(f"put back: {told}; no axis that was changed follows better")
             return
+        journal.former = {name: former.gains[name] for name in gains}
+        journal.gains = BEING_WRITTEN  # whoever ends it now can still put them back
+        journal.save(self.folder)
         self.pilot.write(gains)
         self._keep_gains(loaded, gains)
         kept = [axis for axis in AXES if axis not in map(axis_of, gains)]
         told += f"; {listed(kept)} as before" if kept else ""
-        journal.former = {name: former.gains[name] for name in gains}
         self._settle(f"written: {told}")
 
     def _rehearsed(self, model: Path, steps: Any, gains: dict[str, float]) -> str:
         """Why the identified model, in software, does not bring this flight with these gains to its
         end; empty where it does."""
-        with tempfile.TemporaryDirectory() as folder:
-            pilot = self._rehearse(model)
-            flown = pilot.fly(steps, Path(folder) / "rehearsal.mcap", seed=1, gains=gains)
+        with rehearsal(self._rehearse(model), steps, seed=1, gains=gains) as (flown, _):
+            pass
         if not flown.aborted:
             self._say(f"rehearsed in software, {flown.seconds:.0f} s: the model stays in its room")
         return flown.aborted
@@ -547,18 +522,12 @@ class Learner:
 
 def flights_ahead(journal: Journal, limits: Limits) -> tuple[int, float]:
     """How many flights there are to come at most, and s in the air."""
-    seed = journal.task.seed
-    plans: dict[str, Any] = {
-        "flight1.mcap": flight_of(HOVER, "", limits, seed),
-        "flight2.mcap": flight_of(BODY, "", limits, seed),
-        PROOF_FLIGHT: flight_of(PROOF, "", limits, seed),
-    }
-    seconds = {name: plan.seconds for name, plan in plans.items()}
-    seconds |= {
-        f"flight{n + 2}.mcap": DESIGNED_S + TAKE_OFF_S + LANDING_S for n in range(1, ROUNDS + 1)
-    }
-    steps = step_flight(limits).seconds + TAKE_OFF_S + LANDING_S
-    seconds |= {BEFORE: steps} | {AFTER.format(n): steps for n in range(1, len(AXES) + 1)}
+    first = {"flight1.mcap": HOVER, "flight2.mcap": BODY, PROOF_FLIGHT: PROOF}
+    seed, up_down_s = journal.task.seed, TAKE_OFF_S + LANDING_S
+    seconds = {name: flight_of(one, "", limits, seed).seconds for name, one in first.items()}
+    seconds |= {f"flight{n + 2}.mcap": DESIGNED_S + up_down_s for n in range(1, ROUNDS + 1)}
+    steps = [BEFORE, *(AFTER.format(n) for n in range(1, len(AXES) + 1))]
+    seconds |= dict.fromkeys(steps, step_flight(limits).seconds + up_down_s)
     left = [s for name, s in seconds.items() if journal.good(name) is None]
     return len(left), sum(left)
 

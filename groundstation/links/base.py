@@ -130,7 +130,8 @@ class Link(ABC):
         return batch
 
     def sample_counts(self) -> DecoderCounts | None:
-        """Totals of a link that makes samples itself and knows what it lost; None for others."""
+        """Totals of a link that makes samples itself and knows what it lost; None for others, whose
+        packets ``DecoderCounts`` has; USB frames and a serial line's bytes are counted apart."""
         return None
 
     async def close(self) -> None:

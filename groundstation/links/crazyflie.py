@@ -50,22 +50,14 @@ REQUESTS_MOST = 8
 
 
 @dataclass(frozen=True, slots=True)
-class _Setpoint:
-    """until_s: monotonic; later it is worth nothing. unlocks: whether it holds thrust, which may
-    have to be unlocked first."""
+class _Waiting:
+    """A setpoint or a request. until_s: monotonic; later it is not sent. unlocks: whether it holds
+    thrust, which may have to be unlocked first. arms: whether it asks for motors that turn."""
 
     send: Callable[[], None]
     until_s: float
-    unlocks: bool
-
-
-@dataclass(frozen=True, slots=True)
-class _Request:
-    """until_s: monotonic; later it is not sent. arms: whether it asks for motors that turn."""
-
-    send: Callable[[], None]
-    until_s: float
-    arms: bool
+    unlocks: bool = False
+    arms: bool = False
 
 
 class Outbox:
@@ -82,8 +74,8 @@ class Outbox:
         self.expired = 0
         self._unlock, self._clock = unlock, clock
         self._sent_s = -LOCKS_AFTER_S
-        self._setpoint: _Setpoint | None = None
-        self._requests: deque[_Request] = deque(maxlen=REQUESTS_MOST)
+        self._setpoint: _Waiting | None = None
+        self._requests: deque[_Waiting] = deque(maxlen=REQUESTS_MOST)
         self._changed = threading.Condition()
         self._closing = False
 
@@ -91,7 +83,7 @@ class Outbox:
         """A setpoint, in the place of one that still waits; whether there was one."""
         with self._changed:
             replaced = self._setpoint is not None
-            self._setpoint = _Setpoint(send, until_s, unlocks)
+            self._setpoint = _Waiting(send, until_s, unlocks=unlocks)
             self._changed.notify()
         return replaced
 
@@ -101,7 +93,7 @@ class Outbox:
         """Something that is sent before the setpoint that waits, until then. arms: it asks for
         motors that turn, and can be withdrawn."""
         with self._changed:
-            self._requests.append(_Request(send, until_s, arms))
+            self._requests.append(_Waiting(send, until_s, arms=arms))
             self._changed.notify()
 
     def withdraw_arming(self) -> None:
@@ -110,6 +102,22 @@ class Outbox:
             kept = [one for one in self._requests if not one.arms]
             self._requests.clear()
             self._requests.extend(kept)
+
+    def start(self) -> None:
+        """Send from a thread of its own, for a radio may block for seconds."""
+
+        def run() -> None:
+            while self.wait():
+                with contextlib.suppress(LinkError):  # it has gone meanwhile
+                    self.send()
+
+        self._thread = threading.Thread(target=run, name="setpoints", daemon=True)
+        self._thread.start()
+
+    def finish(self) -> None:
+        """Send what waits, if the radio takes it soon, and end."""
+        self.close()
+        self._thread.join(SEND_S)
 
     def close(self) -> None:
         """What waits is still sent."""
@@ -147,36 +155,10 @@ class Outbox:
         if setpoint.unlocks:
             self._sent_s = self._clock()
 
-    def _next(self) -> _Request | None:
+    def _next(self) -> _Waiting | None:
         """One at a time: the radio may block, and what waits behind it be withdrawn."""
         with self._changed:
             return self._requests.popleft() if self._requests else None
-
-
-class Sender:
-    """Hands setpoints and requests to cflib from a thread of its own, for a radio may block for
-    seconds.
-
-    locks: whether the firmware takes thrust only after zero thrust, again after each silence.
-    """
-
-    def __init__(self, craft: Any, *, locks: bool) -> None:
-        def unlock() -> None:
-            craft.commander.send_setpoint(0, 0, 0, 0)
-
-        self.outbox = Outbox(unlock if locks else None)
-        self._thread = threading.Thread(target=self._run, name="setpoints", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Send what waits, if the radio takes it soon, and end."""
-        self.outbox.close()
-        self._thread.join(SEND_S)
-
-    def _run(self) -> None:
-        while self.outbox.wait():
-            with contextlib.suppress(LinkError):  # it has gone meanwhile
-                self.outbox.send()
 
 
 # Commands to a Crazyflie, or to a stand-in, through the official client library.
@@ -243,7 +225,7 @@ class CrazyflieLink(CommandLink):
         self._is_shared = shared is not None
         self._connection = shared or Connection(uri)
         self._connection.on_lost.append(self._lose)
-        self._sender: Sender | None = None
+        self._outbox: Outbox | None = None
         self._asked_armed = False
         self._asked_s = -STATE_S
         self._told = asyncio.Event()  # of its state, for the first time
@@ -263,12 +245,15 @@ class CrazyflieLink(CommandLink):
         except LinkError:
             await self.close()
             raise
-        self._sender = Sender(self._connection.craft, locks=self._connection.protocol >= TODAY)
+        craft, today = self._connection.craft, self._connection.protocol >= TODAY
+        unlock = (lambda: craft.commander.send_setpoint(0, 0, 0, 0)) if today else None
+        self._outbox = Outbox(unlock)
+        self._outbox.start()
         self._forget()
         self.storage = self._connection.storage()
-        self.settles_s = SETTLES_S if self._connection.protocol >= TODAY else 0.0
+        self.settles_s = SETTLES_S if today else 0.0
         for port in (PLATFORM[0], SUPERVISOR[0]):
-            self._connection.craft.add_port_callback(port, self._take_answer)
+            craft.add_port_callback(port, self._take_answer)
         await self._watch()
         if self.state is not CommandState.CONNECTING:
             await self.close()
@@ -336,9 +321,9 @@ class CrazyflieLink(CommandLink):
 
     async def close(self) -> None:
         self.withdraw_arming()
-        sender, self._sender = self._sender, None
-        if sender is not None:
-            await asyncio.to_thread(sender.close)
+        outbox, self._outbox = self._outbox, None
+        if outbox is not None:
+            await asyncio.to_thread(outbox.finish)
         if not self._is_shared:
             await self._connection.close()
         self._forget()
@@ -365,17 +350,13 @@ class CrazyflieLink(CommandLink):
     def holds_height(self) -> bool:
         if not self._is_up_to_date():
             return False
-        if any(self._parameter(name) for name in HEIGHT_DECKS):
-            return True
-        return self._parameter(ESTIMATOR) == KALMAN and self._knows_height
+        by_filter = self._parameter(ESTIMATOR) == KALMAN and self._knows_height
+        return by_filter or any(map(self._parameter, HEIGHT_DECKS))
 
     @property
     def holds_place(self) -> bool:
-        if not self.holds_height:
-            return False
-        if any(self._parameter(name) for name in FLOW_DECKS):
-            return True
-        return self._parameter(ESTIMATOR) == KALMAN and self.supervisor.knows_place
+        by_filter = self._parameter(ESTIMATOR) == KALMAN and self.supervisor.knows_place
+        return self.holds_height and (by_filter or any(map(self._parameter, FLOW_DECKS)))
 
     @property
     def disarms_in_flight(self) -> bool:
@@ -434,8 +415,8 @@ class CrazyflieLink(CommandLink):
         return True
 
     def withdraw_arming(self) -> None:
-        if self._sender is not None:
-            self._sender.outbox.withdraw_arming()
+        if self._outbox is not None:
+            self._outbox.withdraw_arming()
 
     def recover(self) -> None:
         if self._is_up_to_date():
@@ -475,23 +456,23 @@ class CrazyflieLink(CommandLink):
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float, until_s: float
     ) -> None:
         # cflib turns nothing round here: the firmware's pitch is nose up
-        kind, turn = (
-            (Z_DISTANCE, yaw_dps)
-            if self._connection.protocol >= SIGNED_YAW
-            else (LEGACY_Z_DISTANCE, -yaw_dps)
-        )
-        data = struct.pack("<Bffff", kind, roll_deg, -pitch_deg, turn, height_m)
-        self._steer(lambda: self._connection.send(*AT_HEIGHT, data), until_s, unlocks=False)
+        values = (roll_deg, -pitch_deg, yaw_dps, height_m)
+        self._send_at_height((Z_DISTANCE, LEGACY_Z_DISTANCE), values, until_s)
 
     def _send_hover(
         self, vx_m_s: float, vy_m_s: float, yaw_dps: float, height_m: float, until_s: float
     ) -> None:
-        kind, turn = (
-            (HOVER, yaw_dps)
-            if self._connection.protocol >= SIGNED_YAW
-            else (LEGACY_HOVER, -yaw_dps)
-        )
-        data = struct.pack("<Bffff", kind, vx_m_s, vy_m_s, turn, height_m)
+        values = (vx_m_s, vy_m_s, yaw_dps, height_m)
+        self._send_at_height((HOVER, LEGACY_HOVER), values, until_s)
+
+    def _send_at_height(
+        self, kinds: tuple[int, int], values: tuple[float, float, float, float], until_s: float
+    ) -> None:
+        """kinds: of the setpoint, with yaw counter-clockwise as in ``values`` and clockwise."""
+        kind, (first, second, turn, height_m) = kinds[0], values
+        if self._connection.protocol < SIGNED_YAW:
+            kind, turn = kinds[1], -turn
+        data = struct.pack("<Bffff", kind, first, second, turn, height_m)
         self._steer(lambda: self._connection.send(*AT_HEIGHT, data), until_s, unlocks=False)
 
     def _steer(self, send: Callable[[], None], until_s: float, unlocks: bool = True) -> None:
@@ -502,10 +483,10 @@ class CrazyflieLink(CommandLink):
         self.superseded += outbox.put(send, until_s, unlocks=unlocks)
 
     def _require_outbox(self) -> Outbox:
-        sender = self._sender
-        if sender is None:
+        outbox = self._outbox
+        if outbox is None:
             raise LinkError(f"{self.uri} is being closed")
-        return sender.outbox
+        return outbox
 
     async def _write_parameter(self, name: str, value: float) -> float:
         craft = self._connected()

@@ -16,7 +16,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -213,20 +213,14 @@ class Console:
             return lines
 
     def _keep(self, line: str) -> None:
-        if len(self._kept) < LINES_AT_ONCE and self._is_allowed():
-            self._kept.append(line)
-        else:
-            self._dropped += 1
-
-    def _is_allowed(self) -> bool:
-        """Whether one line more may be told now; it then counts."""
         now_s = self._clock()
         more = LINES_A_SECOND * (now_s - self._allowed_s)
         self._allowed, self._allowed_s = min(self._allowed + more, LINES_AT_ONCE), now_s
-        if self._allowed < 1.0:
-            return False
-        self._allowed -= 1.0
-        return True
+        if len(self._kept) < LINES_AT_ONCE and self._allowed >= 1.0:
+            self._allowed -= 1.0
+            self._kept.append(line)
+        else:
+            self._dropped += 1
 
 
 # What a craft is asked to log: blocks of variables, how often they come, and when.
@@ -415,7 +409,11 @@ class LogBlocks:
 
         for _ in range(STAGGER_TRIES):
             stamps.clear()
-            await self._within(both(), "did not send what it was asked to log")
+            try:
+                async with asyncio.timeout(BLOCK_S):
+                    await both()
+            except TimeoutError as error:
+                raise self._did_not("did not send what it was asked to log") from error
             off_ms = (stamps[number] - stamps[0]) % period_ms - period_ms // 2
             if abs(off_ms) <= near_ms:
                 return
@@ -473,13 +471,6 @@ class LogBlocks:
             threading.Event().wait(STOP_S)
         for block in blocks:
             block.delete()
-
-    async def _within(self, answer: Awaitable[Any], what: str) -> Any:
-        try:
-            async with asyncio.timeout(BLOCK_S):
-                return await answer
-        except TimeoutError as error:
-            raise self._did_not(what) from error
 
     def _did_not(self, what: str) -> LinkError:
         return LinkError(f"{self._uri}: the craft {what} within {BLOCK_S:g} s")
@@ -628,7 +619,9 @@ class Connection:
         try:
             # cflib blocks here while it opens the radio
             await asyncio.to_thread(craft.open_link, self.uri)
-            if not await _either(heard, ready, patience_s):
+            first = asyncio.FIRST_COMPLETED
+            done, _ = await asyncio.wait((heard, ready), timeout=patience_s, return_when=first)
+            if not done:
                 ready.cancel()
                 raise TimeoutError
             try:
@@ -770,14 +763,6 @@ def _cache_folder() -> Path:
     return Path(base) / "groundstation" / "crazyflie"
 
 
-async def _either(one: asyncio.Future[Any], other: asyncio.Future[Any], patience_s: float) -> bool:
-    """Whether one of them came in that time."""
-    done, _ = await asyncio.wait(
-        (one, other), timeout=patience_s, return_when=asyncio.FIRST_COMPLETED
-    )
-    return bool(done)
-
-
 # Where a craft says that it is, by a log block of its own: for whoever lands it, at once, and as a
 # table for the recording.
 
@@ -810,7 +795,7 @@ async def watch_place(
     def take(stamp: int, said: dict[str, float]) -> None:
         nonlocal time_ms
         time_ms = stamp if time_ms < 0 else time_ms + (stamp - time_ms) % WRAP_MS
-        on_place(Place.of(said, time.monotonic()))
+        on_place(Place.of(said, time.monotonic(), 1e-3 * time_ms))
         columns = {name: np.array([value], np.float64) for name, value in said.items()}
         rows = LogTable(TABLE, np.array([clock()]), np.array([1e-3 * time_ms]), columns)
         with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop

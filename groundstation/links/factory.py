@@ -22,8 +22,12 @@ LINKS = {
     "usb://0": "crazyflie",
     "udp://HOST:PORT": "crazyflie",
 }
-"""Form -> module of ``groundstation.links``, whose ``make(options)`` gives the link. By the control
-API a FILE can only be one of the recordings folder, a PORT one of ``/dev``."""
+"""Form -> module of ``groundstation.links``, whose ``make(options)`` gives the link. A new one is a
+module, a row here and a class in ``tests/links/test_contract.py``; its settings stand in
+``LinkOptions``, ``service/config.py`` and ``service/craft_links.py``. A form with ``://`` is a
+craft that speaks for itself. What a client of the control API may ask for,
+``control.permitted_link`` says by the word behind the colon: a FILE of the recordings folder, a
+PORT of ``/dev``, a MODEL that a job made; anything else it refuses."""
 KINDS = ", ".join(LINKS)
 CRAFT = tuple(form[: form.index("://") + 3] for form in LINKS if "://" in form)
 """Links to a craft that speaks for itself."""
@@ -68,7 +72,7 @@ def _scheme(name: str) -> str:
 
 
 def make_link(name: str, **options: Any) -> Link:
-    """A link of one of ``names.LINKS``, else BadInputError. options: see ``LinkOptions``."""
+    """A link of one of ``LINKS``, else BadInputError. options: see ``LinkOptions``."""
     module = import_module(f"groundstation.links.{module_of(name)}")
     link: Link = module.make(LinkOptions(name=name, argument=split_name(name)[1], **options))
     return link

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -86,21 +86,13 @@ _MOTORS = (  # before November 2022 motor.* was the thrust that is asked for
     _Choice(_each("motor.m{}", "1234"), "uint16_t"),
 )
 _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
-    (
-        "motor commands",
-        "motors and thrust cannot be identified",
-        _MOTORS,
-    ),
+    ("motor commands", "motors and thrust cannot be identified", _MOTORS),
     (
         "battery voltage",
         "motors are identified from their commands once it is given (convert --supply-v)",
         (_Choice(("pm.vbatMV",), "uint16_t"), _Choice(("pm.vbat",), "float")),
     ),
-    (
-        "accelerometer",
-        "thrust cannot be identified",
-        _ACCELEROMETER,
-    ),
+    ("accelerometer", "thrust cannot be identified", _ACCELEROMETER),
     (
         "attitude",
         "angles cannot be compared",
@@ -241,17 +233,6 @@ class _Reading:
 
 
 @dataclass(slots=True)
-class _Counts:
-    packets: int = 0
-    samples: int = 0
-    lost: int = 0
-    bursts: int = 0
-    longest_burst: int = 0
-    late: int = 0
-    restarts: int = 0
-
-
-@dataclass(slots=True)
 class LogRows:
     """Packets in, rows out. plan, period_ms: as the craft was asked. segment: of the first row.
 
@@ -262,7 +243,7 @@ class LogRows:
     period_ms: int
     segment: int = 0
     apart_ms: int = 0
-    _counts: _Counts = field(default_factory=_Counts)
+    _counts: Counter[str] = field(default_factory=Counter)  # as ``DecoderCounts``
     _waiting: list[deque[_Reading]] = field(default_factory=list)
     _newest: tuple[int, int] | None = None  # time, host time
     _last_ms: int | None = None  # of the last row of this segment
@@ -282,13 +263,15 @@ class LogRows:
                     time_ms = self._unwrapped(stamp, host_ns)
                     self._extra.setdefault(block, []).append(_Reading(time_ms, values, host_ns))
                 continue
-            self._counts.packets += 1
+            self._counts["packets"] += 1
             time_ms = self._unwrapped(stamp, host_ns)
             if self._newest is not None and time_ms < self._newest[0] - BACKWARDS_MS:
-                self._restart()
+                self._counts["restarts"] += 1
+                self._newest = None
+                self._begin_segment()
             readings = self._waiting[block]
             if readings and time_ms <= readings[-1].time_ms:
-                self._counts.late += 1
+                self._counts["late"] += 1
                 continue
             readings.append(_Reading(time_ms, values, host_ns))
             if self._newest is None or time_ms > self._newest[0]:
@@ -319,31 +302,12 @@ class LogRows:
 
     def counts(self) -> DecoderCounts:
         """Totals, as those of packets of telemetry."""
-        c = self._counts
-        return DecoderCounts(
-            packets=c.packets,
-            malformed=0,
-            samples=c.samples,
-            lost=c.lost,
-            bursts=c.bursts,
-            longest_burst=c.longest_burst,
-            duplicates=0,
-            disagreeing=0,
-            damaged=0,
-            late=c.late,
-            slips=0,
-            restarts=c.restarts,
-        )
+        return DecoderCounts(**self._counts)
 
     def restart(self, plan: LogPlan, period_ms: int) -> None:
         """The craft was asked anew, or again: what follows is another segment."""
         self.plan, self.period_ms = plan, period_ms
         self._newest, self._extra = None, {}
-        self._begin_segment()
-
-    def _restart(self) -> None:
-        self._counts.restarts += 1
-        self._newest = None
         self._begin_segment()
 
     def _begin_segment(self) -> None:
@@ -427,13 +391,12 @@ class LogRows:
 
     def _count(self, time_ms: int) -> None:
         c = self._counts
-        c.samples += 1
+        c["samples"] += 1
         if self._last_ms is not None:
             lost = round((time_ms - self._last_ms) / self.period_ms) - 1
             if lost > 0:
-                c.lost += lost
-                c.bursts += 1
-                c.longest_burst = max(c.longest_burst, lost)
+                c.update(lost=lost, bursts=1)
+                c["longest_burst"] = max(c["longest_burst"], lost)
         self._last_ms = time_ms
 
     def _samples(self, rows: list[tuple[int, int, int, tuple[float, ...]]]) -> SampleBatch:

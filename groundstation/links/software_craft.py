@@ -18,7 +18,7 @@ from groundstation.telemetry.packet import TICK_S as DEVICE_TICK_S
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 if TYPE_CHECKING:
-    from firmware_sim.craft_state import CraftState
+    from firmware_sim.craft import CraftState
 
 TICK_S = 0.01
 READY_S = 4.0
@@ -148,9 +148,9 @@ class SoftwareCraft:
         return self._answer()
 
     def parameters(self) -> dict[str, float]:
-        from firmware_sim.physics import DRAG_NAMES, PARAMETER_NAMES, RESET_ESTIMATOR
+        from firmware_sim.physics import NAMES_OF_TODAY, PARAMETER_NAMES
 
-        names = (*PARAMETER_NAMES, *DRAG_NAMES, RESET_ESTIMATOR)
+        names = (*PARAMETER_NAMES, *NAMES_OF_TODAY)
         return {name: self._craft.get_parameter(name) for name in names}
 
     def write(self, values: dict[str, float]) -> dict[str, float]:
@@ -254,7 +254,7 @@ class SoftwareCraft:
             "link_state": "streaming" if state.powered else "lost",
             "hindrance": "the craft lies upside down" if state.tumbled else "",
             "height_m": state.height_m,
-            "place": {**place, "age_s": 0.0},
+            "place": {**place, "age_s": 0.0, "at_s": state.time_s},
             "telemetry": {
                 "age_s": 0.0,
                 "timestamp": round(state.time_s / DEVICE_TICK_S),

@@ -122,7 +122,7 @@ class StandInLink(Link):
         """Answer clients of the official library, where a port was given. Raises TakenError."""
         if self._crtp is None or self._server is not None or self._craft is None:
             return
-        from firmware_sim.crtp_server import CrtpServer
+        from firmware_sim.crtp import CrtpServer
 
         host, port = self._crtp
         server = CrtpServer(self._craft, host, port)

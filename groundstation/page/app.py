@@ -1,19 +1,23 @@
 """The page's routes: what a browser is shown, and the control API's operations that it may ask for.
 
 A page that changes nothing needs the cookie; a request that changes something the page's origin
-and its token as well (``access.py``).
+and its token as well.
 """
 
 from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import hashlib
 import hmac
+import json
 import re
 import secrets
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
+import shutil
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Any
@@ -35,9 +39,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.page.follower import Follower
-from groundstation.page.opening import UnknownColumnsError, add, add_example, channels, examples
 from groundstation.report.page import THEME
 from groundstation.service.client import Pilot, ask
+from groundstation.service.jobs import own_program, run_command, run_program
 from groundstation.text import printable
 
 # Who may use the page: browsers that opened a one-time address, from pages of this server.
@@ -144,12 +148,9 @@ def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
     recording = status["recording"]
     if not recording["wanted"] and not prepares:
         yield _warning("Nothing is being recorded")
-    if (
-        recording["wanted"]
-        and recording["free_mb"] is not None
-        and recording["free_mb"] < DISK_LOW_MB
-    ):
-        yield _warning(f"Disk: {recording['free_mb']:.0f} MB left")
+    free_mb = recording["free_mb"]
+    if recording["wanted"] and free_mb is not None and free_mb < DISK_LOW_MB:
+        yield _warning(f"Disk: {free_mb:.0f} MB left")
     statistics = status["statistics"]
     if streaming and statistics is not None and statistics["loss_pct"] > LOSS_MOST_PCT:
         yield _warning(f"{statistics['loss_pct']:.0f} % of the rows of the last second are lost")
@@ -244,6 +245,167 @@ def _policy(site: Path) -> str:
         " img-src 'self' data:; connect-src 'self'; worker-src 'self'; base-uri 'none';"
         " form-action 'none'; frame-ancestors 'none'"
     )
+
+
+# Files that the operator opens: of the recordings folder, dropped on the page, or an example. What
+# is dropped becomes a recording of the folder; nothing is overwritten. Where nobody knows a file's
+# columns the operator is asked what they are (``reading.py``).
+
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "recordings"
+"""Of a checkout; a wheel has none."""
+PATIENCE_S = 300.0
+FILE_MOST = 1 << 31
+_NOT_EXAMPLES = (".md", ".LICENSE")
+
+
+def examples() -> list[str]:
+    """Names of the recordings that come with the program."""
+    found = EXAMPLES.iterdir() if EXAMPLES.is_dir() else ()
+    return sorted(one.name for one in found if one.suffix not in _NOT_EXAMPLES)
+
+
+async def read_apart(what: str, path: Path, *more: str) -> bytes:
+    """What ``reading.py`` prints of a file. Raises GroundStationError, in its words."""
+    words = own_program("-m", "groundstation.page.reading", what, str(path), *more, niceness=1)
+    status, out, said = await run_program(words, path.name, PATIENCE_S, bounded=True)
+    if status:
+        raise BadInputError(said.splitlines()[-1] if said else f"{path.name}: could not be read")
+    return out
+
+
+class UnknownColumnsError(BadInputError):
+    """form: with which the operator is asked what the columns of a file are."""
+
+    def __init__(self, why: str, form: dict[str, Any]) -> None:
+        super().__init__(why)
+        self.form = form
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """file: its name in the folder. map: text of the column map by which it was read, or empty.
+    said: what is wrong with it, though it was read."""
+
+    file: str
+    map: str = ""
+    said: str = ""
+
+
+async def add(
+    folder: Path, name: str, content: AsyncIterator[bytes], answers: str | None = None
+) -> Opened:
+    """A file becomes a recording of the folder: an MCAP as it is, anything else converted to one.
+
+    answers: JSON of the form with which the operator was asked for its columns.
+
+    Raises GroundStationError where it is no recording, UnknownColumnsError where its columns have
+    to be named.
+    """
+    name = _plain(name)
+    waiting = folder / "opened"
+    waiting.mkdir(parents=True, exist_ok=True)
+    source = _free(waiting, name)
+    try:
+        await _save(source, content)
+        if answers is None:
+            return await _taken(folder, source, name)
+        return await _mapped(folder, source, name, answers)
+    finally:
+        source.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            waiting.rmdir()
+
+
+async def add_example(folder: Path, name: str) -> str:
+    """The same with an example. Raises BadInputError for what is none."""
+    if name not in examples():
+        raise BadInputError(f"{name}: no such example")
+    target = folder / f"{Path(name).stem}.mcap"
+    if target.is_file():  # it was added before
+        return target.name
+    folder.mkdir(parents=True, exist_ok=True)
+    return (await _taken(folder, EXAMPLES / name, name)).file
+
+
+async def _taken(folder: Path, source: Path, name: str) -> Opened:
+    target = _free(folder, f"{Path(name).stem}.mcap")
+    try:
+        if name.endswith(".mcap"):
+            await read_apart("series", source)  # whether it is a recording at all
+            await asyncio.to_thread(shutil.copyfile, source, target)
+            return Opened(target.name)
+        if await _convert(source, target, name):
+            return Opened(target.name)
+        why = f"{name}: no channel is known"
+    except GroundStationError as error:
+        why = str(error)
+    form = None
+    with contextlib.suppress(GroundStationError):  # it has no columns
+        form = json.loads(await read_apart("columns", source))
+    if form is not None:
+        target.unlink(missing_ok=True)
+        raise UnknownColumnsError(why, form)
+    if not target.is_file():
+        raise BadInputError(why)
+    return Opened(target.name, said=why)
+
+
+async def _mapped(folder: Path, source: Path, name: str, answers: str) -> Opened:
+    """The same by the columns that the operator has named."""
+    target = _free(folder, f"{Path(name).stem}.mcap")
+    beside = [source.with_name(f"{source.name}.{end}") for end in ("answers", "map.toml")]
+    try:
+        beside[0].write_text(answers, "utf-8")
+        text = (await read_apart("columns", source, str(beside[0]))).decode()
+        beside[1].write_text(text, "utf-8")
+        await _convert(source, target, name, "--columns", str(beside[1]))
+    finally:
+        for one in beside:
+            one.unlink(missing_ok=True)
+    return Opened(target.name, text)
+
+
+async def _convert(source: Path, target: Path, name: str, *given: str) -> list[str]:
+    """The channels that the new file has. Raises BadInputError, in a reader's words."""
+    status, out, said = await run_command(
+        "convert", str(source), str(target), "--json", *given, patience_s=PATIENCE_S
+    )
+    if status:
+        line = (said.splitlines() or [f"{name}: could not be read"])[-1]
+        raise BadInputError(line.replace(f"{source}", name).removeprefix("groundstation: "))
+    found: list[str] = json.loads(out)["channels"]
+    return found
+
+
+async def _save(path: Path, content: AsyncIterator[bytes]) -> None:
+    size = 0
+    with path.open("xb") as file:
+        async for piece in content:
+            size += len(piece)
+            if size > FILE_MOST:
+                raise BadInputError(f"{path.name}: longer than {FILE_MOST >> 30} GB")
+            await asyncio.to_thread(file.write, piece)
+
+
+def _plain(name: str) -> str:
+    """A file's name as it can be kept. Raises BadInputError."""
+    if not name or Path(name).name != name or name.startswith(".") or printable(name) != name:
+        raise BadInputError(f"{printable(name)}: not a file's name")
+    return name[-120:]
+
+
+def _free(folder: Path, name: str) -> Path:
+    """A name that nothing has yet."""
+    path = folder / name
+    number = 1
+    while path.exists():
+        number += 1
+        path = folder / f"{Path(name).stem}_{number}{Path(name).suffix}"
+    return path
+
+
+# The routes.
 
 
 STATIC = Path(__file__).with_name("static")
@@ -383,7 +545,8 @@ def _opening(control: Path, looks: Callable[..., Awaitable[Any]]) -> list[Route]
             if Path(name).name != name or name.startswith(".") or not path.is_file():
                 return _refusal(404, f"{name}: no such recording")
             async with opening:
-                return Response(await channels(path), media_type="application/octet-stream")
+                content = await read_apart("series", path)
+            return Response(content, media_type="application/octet-stream")
         except GroundStationError as error:
             return _refusal(400, str(error))
 
@@ -419,27 +582,28 @@ def _parameters(
 ) -> list[Route]:
     """The craft's parameters."""
 
-    async def parameters(request: Request) -> Response:
-        """All that the craft has; or, by POST, some written under a lease of this moment."""
-        try:
-            if request.method == "GET":
-                return _json(await looks(_read_parameters, control))
-            wanted = msgspec.json.decode(await request.body(), type=dict[str, dict[str, float]])
-            return _json(await asks(_write_parameters, control, wanted.get("values", {})))
-        except (GroundStationError, msgspec.MsgspecError) as error:
-            return _refusal(400, str(error))
+    def route(path: str, kind: Any, work: Callable[[Path, Any], Any]) -> Route:
+        """Does by POST ``work`` with a body of that kind."""
 
-    async def stored(request: Request) -> Response:
-        """Store the gains that there are, or clear the stored ones."""
+        async def answer(request: Request) -> Response:
+            try:
+                wanted = msgspec.json.decode(await request.body(), type=kind)
+                return _json(await asks(work, control, wanted))
+            except (GroundStationError, msgspec.MsgspecError) as error:
+                return _refusal(400, str(error))
+
+        return Route(path, answer, methods=["POST"])
+
+    async def parameters(request: Request) -> Response:
         try:
-            wanted = msgspec.json.decode(await request.body(), type=dict[str, bool])
-            return _json(await asks(_store_gains, control, wanted.get("clear", False)))
-        except (GroundStationError, msgspec.MsgspecError) as error:
+            return _json(await looks(_read_parameters, control))
+        except GroundStationError as error:
             return _refusal(400, str(error))
 
     return [
-        Route("/parameters", parameters, methods=["GET", "POST"]),
-        Route("/parameters/stored", stored, methods=["POST"]),
+        Route("/parameters", parameters),
+        route("/parameters", dict[str, dict[str, float]], _write_parameters),
+        route("/parameters/stored", dict[str, bool], _store_gains),
     ]
 
 
@@ -506,10 +670,10 @@ def _asked(path: str) -> Callable[[Path], Any]:
     return lambda control: ask(control, "GET", path)
 
 
-def _write_parameters(control: Path, values: dict[str, float]) -> dict[str, Any]:
+def _write_parameters(control: Path, wanted: dict[str, dict[str, float]]) -> dict[str, Any]:
     """Nobody else may command meanwhile. Raises GroundStationError."""
     with Pilot(control, "page") as pilot:
-        return {"values": pilot.write(values)}
+        return {"values": pilot.write(wanted.get("values", {}))}
 
 
 def _read_parameters(control: Path) -> dict[str, Any]:
@@ -519,10 +683,10 @@ def _read_parameters(control: Path) -> dict[str, Any]:
     return {"values": values, "stores": command["stores"], "stored": command["stored"]}
 
 
-def _store_gains(control: Path, clear: bool) -> dict[str, Any]:
-    """Nobody else may command meanwhile. Raises GroundStationError."""
+def _store_gains(control: Path, wanted: dict[str, bool]) -> dict[str, Any]:
+    """Store the gains that there are, or clear the stored ones; as ``_write_parameters``."""
     with Pilot(control, "page") as pilot:
-        if clear:
+        if wanted.get("clear", False):
             pilot.clear_stored()
         else:
             pilot.store()
@@ -557,13 +721,12 @@ def _file(control: Path, kind: str, name: str) -> Response:
     elif kind == "log":
         text = ask(control, "POST", "/jobs/log", {"id": name})["text"]
         return PlainTextResponse(text)
-    for job in ask(control, "GET", "/jobs"):
-        if job["id"] == name and kind == "model" and job["model_file"]:
-            return FileResponse(job["model_file"], filename=f"{name}.json")
-        if job["id"] == name and kind == "gains" and job["gains_file"]:
-            return FileResponse(job["gains_file"], filename=f"{name}.toml")
-        if job["id"] == name and kind == "report" and job["report"]:
-            return FileResponse(job["report"], headers={"content-security-policy": _REPORT})
+    fields = {"model": "model_file", "gains": "gains_file", "report": "report"}
+    for job in ask(control, "GET", "/jobs") if kind in fields else ():
+        if job["id"] == name and (path := job[fields[kind]]):
+            if kind == "report":
+                return FileResponse(path, headers={"content-security-policy": _REPORT})
+            return FileResponse(path, filename=name + Path(path).suffix)
     raise BadInputError(f"there is no {kind} of {name}")
 
 

@@ -1,6 +1,4 @@
-"""What drives a model through a run: motors, battery, height, and which rows hold something
-new.
-"""
+"""What drives a model through a run: motors, battery, height, and which rows are new."""
 
 from __future__ import annotations
 
@@ -157,16 +155,13 @@ HOP = 0.8
 """Share of its greatest height from which a flight that never came so high was not low."""
 SPEED_WALK = 0.004
 """Before a landing height is known where the speed at the touch-down is: to so many m/s per root
-second of the flight (white noise of 0.18 m/s^2 in 500 rows a second makes the speed walk twice as
-far; the height at the touch-down tells half of it), or as well as the drift says."""
+second of the flight (half the walk of white noise of 0.18 m/s^2 in 500 rows a second)."""
 REACH_M, LANDING_DOUBT_M = 0.08, 0.01
 """How high a small craft's ground effect reaches, and what the height may be off by, times what is
-left of the effect there: a craft that comes down in a second is low for too short to be misjudged,
-one that hovers low for two is not."""
+left of the effect there."""
 IDLE_SHARE, IDLE_S = 0.4, 1.0
 """Motors that are driven by less than this share of what they are in flight, for so long at the
-start, idle on the ground: a sixth of the thrust (an armed Brushless idles at 7000 of 65535). At the
-end they do however short it is: what they carry no more stands already, or falls."""
+start, idle on the ground (an armed Brushless idles at 7000 of 65535); at the end however short."""
 FALL_S, FALLING, IMPACT = 0.6, 0.5, 1.0
 """How long a craft may fall once its motors have stopped, feeling less than this share of 1 g, and
 by how many g more than 1 the ground then stops it: rotors that run down are felt by less than 1."""
@@ -201,8 +196,7 @@ def heights_of(
 
     rise: (n,) vertical acceleration of the whole recording; still: (n,) rows in which no motor
     is driven, or all idle (``lifting``). Nothing is known of a flight that was in the air when the
-    recording began. Half a minute's drift leaves some 10 cm: enough to tell where a recording
-    breaks off that it may have landed, too much for what the ground does in a slow landing.
+    recording began.
     """
     height = np.full(stop - start, np.inf)
     down = _touch_down(rise, stop, period_s)
@@ -322,13 +316,18 @@ class Drive:
         """Rotor speeds (n, 4) behind each row."""
         return np.ascontiguousarray(self.speed[::2])
 
+    def coast(
+        self, fresh: Mask, rows: NDArray[np.int64], ahead: NDArray[np.int64], *at: Array
+    ) -> None:
+        """Fly on the inputs from rows (m,) as the kernel of that name, with its states ``at``."""
+        from groundstation.prediction.kernels import coast
+
+        driven = self.craft[0], self.sensor[0], self.speed, self.period_s
+        coast(*driven, fresh, rows, ahead, *at)
+
     def since(self, row: int) -> Drive:
         """The same from a row on."""
-        return replace(
-            self,
-            speed=self.speed[2 * row :],
-            push=self.push[2 * row :],
-        )
+        return replace(self, speed=self.speed[2 * row :], push=self.push[2 * row :])
 
 
 def drive_run(model: Model, run: Flown) -> Drive:

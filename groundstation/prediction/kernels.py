@@ -4,8 +4,8 @@ Row i of a recording shows the craft at t_i less the dead time. All of this work
 grid: ``spin`` runs the motors on inputs that change at t_i and gives their speeds on the shifted
 grid, at its points and half-way; body and sensors then know no delay.
 
-A body state is that of ``dynamics/state.py`` with the states of effects behind it; a filter
-state that of ``dynamics/attitude_filter.py``.
+A body state is that of ``dynamics/kernels.py``; a filter state that of the attitude filter in
+``dynamics/sensing.py``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""The observer that corrects a model by measurements: its gains, and the settled covariance
-behind them.
-"""
+"""The observer that corrects a model by measurements: its gains, their settled covariance."""
 
 from __future__ import annotations
 
@@ -103,9 +101,7 @@ def _map_of(row: Row) -> _Map:
     return moved.then(_Map(np.eye(size), information, np.zeros((size, size))))
 
 
-# The gains with which the observer corrects a model by measurements.
-#
-# A Kalman filter whose covariance has settled (``riccati.py``), with a new attitude in every
+# The gains: a Kalman filter whose covariance has settled, with a new attitude in every
 # second row: the model, with its effects, is linearised about hover by differences. Errors are
 # those of attitude (rotation in the body), rates, what the gyro's last filter makes of them and
 # velocity in the body: 12 numbers; behind them those of states that noise drives, and of filters
@@ -187,14 +183,8 @@ def _gains(key: bytes, period_s: float, noise: Noise) -> Gains:
     process = np.concatenate([process, driven**2 * (1.0 - fades**2), before])
     # A leaning filter's report says next to nothing about the true attitude.
     attitude = 0.5 if lean else noise.attitude
-    sensors = np.concatenate(
-        [
-            np.square(noise.gyro),
-            np.full(3, felt),
-            np.full(3, attitude**2),
-            np.full(3, noise.speed**2),
-        ]
-    )
+    others = np.repeat([felt, attitude**2, noise.speed**2], 3)
+    sensors = np.concatenate([np.square(noise.gyro), others])
     rows = np.array([0, 1, 2, 3, 4, 5, 9, 10, 11])
     without = Row(observed, process, c[rows], sensors[rows])
     fresh = Row(observed, process, c, sensors)
@@ -227,31 +217,13 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
     starts, sensed = _nudged(craft, hover, driven, last, before)
     count = len(starts)
     measured = np.empty((count, 1, 9))
-    coast(
-        one,
-        sensor[0],
-        np.full((3, 4), hover),
-        period_s,
-        np.zeros(2, np.bool_),
-        np.zeros(count, np.int64),
-        np.ones(1, np.int64),
-        starts,
-        sensed,
-        np.tile([1.0, 0, 0, 0, 0, 0, one["gravity"], 0, 0, 0], (count, 1)),
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        measured,
-    )
+    rows = np.zeros(2, np.bool_), np.zeros(count, np.int64), np.ones(1, np.int64)
+    leaning = np.tile([1.0, 0, 0, 0, 0, 0, one["gravity"], 0, 0, 0], (count, 1))
+    report, driving = np.tile([1.0, 0, 0, 0], (count, 1)), np.full((3, 4), hover)
+    coast(one, sensor[0], driving, period_s, *rows, starts, sensed, leaning, report, measured)
     delayed = sensed[:, last] if len(last) else np.zeros((count, 3))
-    reached = np.column_stack(
-        [
-            2.0 * starts[:, 7:10],
-            starts[:, RATE],
-            delayed,
-            starts[:, 3:6],
-            starts[:, driven],
-            sensed[:, before],
-        ]
-    )
+    moved = 2.0 * starts[:, 7:10], starts[:, RATE], delayed, starts[:, 3:6]
+    reached = np.column_stack([*moved, starts[:, driven], sensed[:, before]])
     a = (reached[0::2] - reached[1::2]).T / (2 * NUDGE)
     felt = measured[:, 0, :6]
     seen = (felt[0::2] - felt[1::2]).T / (2 * NUDGE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -119,8 +119,8 @@ def walk_of(
     places = np.cumsum(np.where(told[:, None], off - off[told].mean(axis=0), 0.0), axis=0)
     seconds = every * period_s
     own = rate**2 * period_s * seconds
-    gains = [_gain(own + walk**2 * seconds, angle**2) for walk in WALKS]
-    errors = np.array([_squared_error(places, gain, ahead, judged) for gain in gains])
+    ratios = [(own + walk**2 * seconds) / angle**2 for walk in WALKS]
+    errors = np.array([_squared_error(places, ratio, ahead, judged) for ratio in ratios])
     worth = errors.min(axis=0) < WORTH * errors[0]
     x, y, z = np.where(worth, np.array(WALKS)[errors.argmin(axis=0)], 0.0).tolist()
     return x, y, z
@@ -136,16 +136,14 @@ def _off(angles: Array, gyro: Array, rows: NDArray[np.int64], period_s: float) -
     return body_rates(angles[:-1] + 0.5 * turned, turned) - np.diff(whole[rows], axis=0)
 
 
-def _gain(process: float, measured: float) -> float:
-    """Of a Kalman filter of a random walk, variances per row of the walk and of a measurement."""
-    ratio = process / measured
-    return 0.5 * (math.sqrt(ratio**2 + 4.0 * ratio) - ratio)
+def _squared_error(places: Array, ratio: float, ahead: int, judged: Mask) -> Array:
+    """Mean squared error (3,) of a Kalman filter's estimate of places (m, 3) some rows ahead.
 
-
-def _squared_error(places: Array, gain: float, ahead: int, judged: Mask) -> Array:
-    """Mean squared error (3,) of a filter's estimate of places (m, 3) some rows ahead."""
+    ratio: of the variances per row of their random walk and of a measurement.
+    """
     from scipy.signal import lfilter
 
+    gain = 0.5 * (math.sqrt(ratio**2 + 4.0 * ratio) - ratio)
     followed = lfilter([gain], [1.0, gain - 1.0], places, axis=0)
     error = places[ahead:] - followed[:-ahead]
     return (error[judged] ** 2).mean(axis=0)
@@ -170,8 +168,7 @@ def vibration_of(gyro: Array, used: Mask, period_s: float) -> tuple[float, float
     """RMS about the body's axes above ``FROM_HZ``, rad/s.
 
     gyro: (n, 3) rad/s, rows that were lost NaN. used: (n,) rows in the air. 0 where rows are too
-    slow to show it, or fewer than three blocks are in the air; little where they are hardly faster
-    than 100 a second, for what they fold below ``FROM_HZ`` is not told from motion.
+    slow to show it, or fewer than three blocks are in the air.
     """
     from scipy.signal import butter, sosfilt
 
@@ -201,7 +198,7 @@ Rows = NDArray[np.int64]
 
 
 JUDGED = 4
-"""Every so manyth row tells which of two observers suits a run."""
+"""One row in so many tells which of two observers suits a run."""
 RATES, ANGLES = slice(0, 3), slice(6, 9)
 """Of the nine channels."""
 SETTLE_S, LIFT_OFF_S = 0.5, 0.1
@@ -228,11 +225,6 @@ class Observed:
     flying: Mask
     fresh: Mask
 
-    @property
-    def leans(self) -> bool:
-        """Whether the model says by a filter of its own how reported angles leave the true ones."""
-        return bool(self.drive.sensor[0]["gains"][0] > 0.0)
-
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
@@ -253,15 +245,9 @@ class Ahead:
     def errors(self, run: Flown) -> Array:
         """Measured less predicted, (m, g, 9): gyro, accelerometer, roll pitch yaw (wrapped)."""
         at = self.rows[:, None] + self.horizons
-        turn = run.attitude[at] - self.attitude
-        return np.concatenate(
-            [
-                run.gyro[at] - self.gyro,
-                run.accelerometer[at] - self.accelerometer,
-                np.angle(np.exp(1j * turn)),
-            ],
-            axis=2,
-        )
+        rates, force = run.gyro[at] - self.gyro, run.accelerometer[at] - self.accelerometer
+        turn = np.angle(np.exp(1j * (run.attitude[at] - self.attitude)))
+        return np.concatenate([rates, force, turn], axis=2)
 
 
 def predict_ahead(
@@ -316,22 +302,14 @@ def noise_of(model: Model, run: Flown) -> Noise:
     usual = Noise()
     felt = run.accelerometer[flying][:, :2]
     felt = felt[np.isfinite(felt).all(axis=1)]
-    return Noise(
-        torque=(float(push[0]), float(push[1]), float(push[2])),
-        force=usual.force,
-        gyro=(float(shaken[0]), float(shaken[1]), float(shaken[2])),
-        accelerometer=float(felt.std()) if len(felt) else usual.accelerometer,
-        attitude=usual.attitude,
-        speed=usual.speed,
-    )
+    torque, gyro = ((x, y, z) for x, y, z in (push.tolist(), shaken.tolist()))
+    accelerometer = float(felt.std()) if len(felt) else usual.accelerometer
+    return replace(usual, torque=torque, gyro=gyro, accelerometer=accelerometer)
 
 
 def own_noise(run: Flown, flying: Mask) -> Noise:
-    """The usual noise with what a run tells of its own without a model: how its gyro is shaken
-    (``gyro_vibration``), and how far its reported angles, NaN where they are not new, wander off
-    the gyro's integral (``attitude_walk``). flying: (n,) rows in the air.
-
-    The whole run is used: for a live stream, take an earlier flight's.
+    """The usual noise with what a run tells of its own without a model: how its gyro is shaken, and
+    how far its reported angles, NaN where they are not new, wander. flying: (n,) rows in the air.
     """
     usual = Noise()
     noises = {"angle": usual.attitude, "rate": max(usual.gyro)}
@@ -342,9 +320,8 @@ def own_noise(run: Flown, flying: Mask) -> Noise:
 
 
 def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> tuple[Observed, Noise]:
-    """As ``observe_run``, with what of a run's ``own_noise`` foretells it better: a gyro that is
-    shaken, for a torque that is rough looks alike to it, and angles that wander, for what the model
-    says of the sensors may explain them. That noise is returned too."""
+    """As ``observe_run``, with what of a run's ``own_noise`` predicts it better, and that noise: a
+    gyro may seem shaken by rough torque, and the model's sensors may explain angles that wander."""
     observed = _observer(model, run)
     steady, chosen = observed(None), Noise()
     if noise.gyro != chosen.gyro:
@@ -352,7 +329,8 @@ def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> tuple[Observed, 
         shaken = observed(other)
         if _error(run, shaken, RATES) < _error(run, steady, RATES):
             steady, chosen = shaken, other
-    if steady.leans or not any(noise.walk):  # a filter of its own says how far they are off
+    leans = steady.drive.sensor[0]["gains"][0] > 0.0  # the model says how far they are off
+    if leans or not any(noise.walk):
         return steady, chosen
     wandering = replace(chosen, walk=noise.walk)
     walking = observed(wandering)
@@ -398,20 +376,16 @@ def _observer(
     if height_m is None:
         near = any("height" in effect.unmeasured for effect, _ in acting(model))
         height_m = height_of(reckoned, flying) if near else np.full(len(run.duty), np.nan)
-    start = _start(run, drive, flying)
+    # The velocity with which a run begins, by the sensors as the model has them.
+    moving = slice(len(flying) if flying.all() else int(np.argmin(flying)))
+    force = run.accelerometer[moving] - drive.sensor[0]["zero"][3:]
+    start = start_velocity(run.attitude[moving], force, run.period_s)
 
     def observed(noise: Noise | None) -> Observed:
         gains = gains_of(model, run.period_s, noise)
         return observe_part(run, drive, gains, flying, fresh, height_m=height_m, start=start)[0]
 
     return observed
-
-
-def _start(run: Flown, drive: Drive, flying: Mask) -> Array:
-    """Inertial velocity (3,) with which a run begins, by the sensors as the model has them."""
-    moving = slice(len(flying) if flying.all() else int(np.argmin(flying)))
-    force = run.accelerometer[moving] - drive.sensor[0]["zero"][3:]
-    return start_velocity(run.attitude[moving], force, run.period_s)
 
 
 def observe_part(
@@ -437,34 +411,19 @@ def observe_part(
     states, sensed = np.empty((n, size)), np.empty((n, SENSOR_STATES))
     filters, innovations = np.empty((n, FILTER)), np.zeros((n, 9))
     kept = np.zeros(4 + size + SENSOR_STATES + FILTER) if carry is None else carry.copy()
+    driven = drive.craft[0], drive.sensor[0], drive.speed, drive.period_s
+    channels = run.gyro, run.accelerometer, run.attitude
+    measured = [np.ascontiguousarray(one[:n]) for one in channels]
+    begin = np.zeros(3) if start is None else start
+    known = fresh, flying, height_m, gains.fresh, gains.stale, begin
     observe(
-        drive.craft[0],
-        drive.sensor[0],
-        drive.speed,
-        drive.period_s,
-        np.ascontiguousarray(run.gyro[:n]),
-        np.ascontiguousarray(run.accelerometer[:n]),
-        np.ascontiguousarray(run.attitude[:n]),
-        fresh,
-        flying,
-        height_m,
-        gains.fresh,
-        gains.stale,
-        np.zeros(3) if start is None else start,
-        kept,
-        carry is not None,
-        states,
-        sensed,
-        filters,
-        innovations,
+        *driven, *measured, *known, kept, carry is not None, states, sensed, filters, innovations
     )
     return Observed(drive, gains, states, sensed, filters, innovations, flying, fresh), kept
 
 
 def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) -> Ahead:
     """From the observed state at each of ``rows`` on the inputs alone, to every horizon."""
-    from groundstation.prediction.kernels import coast
-
     starts = np.ascontiguousarray(rows, np.int64)
     steps = np.atleast_1d(np.asarray(horizons, np.int64))
     if len(steps) == 0 or steps[0] < 1 or (np.diff(steps) <= 0).any():
@@ -477,20 +436,8 @@ def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) 
     shown = quaternion_of_attitude(np.where(unknown[:, None], 0.0, reported))
     shown[unknown] = seen.states[starts][unknown, QUATERNION]
     measured, states = np.empty((len(starts), len(steps), 9)), seen.states[starts]
-    coast(
-        drive.craft[0],
-        drive.sensor[0],
-        drive.speed,
-        drive.period_s,
-        seen.fresh,
-        starts,
-        steps,
-        states,
-        seen.sensed[starts],
-        seen.filters[starts],
-        np.ascontiguousarray(shown),
-        measured,
-    )
+    remembered = seen.sensed[starts], seen.filters[starts], np.ascontiguousarray(shown)
+    drive.coast(seen.fresh, starts, steps, states, *remembered, measured)
     gyro, accelerometer, attitude = (measured[..., i : i + 3].copy() for i in (0, 3, 6))
     return Ahead(starts, steps, gyro, accelerometer, attitude, states)
 
@@ -545,8 +492,7 @@ def load_reference(source: str | Path) -> Reference:
         raise BadInputError(
             f"reference {str(source)!r}: neither built in ({', '.join(BUILT_IN)}) nor a file"
         )
-    table, found = read_rows(path, ("height_m",))
-    has_height = "height_m" in found
+    table = _read_rows(path)
     time = table[:, 0] - table[0, 0]
     grid = np.arange(0.0, time[-1], SAMPLE_PERIOD_S)
     columns = [np.interp(grid, time, table[:, i]) for i in range(1, table.shape[1])]
@@ -556,7 +502,7 @@ def load_reference(source: str | Path) -> Reference:
             f"reference {path}: a tilt of {np.degrees(np.abs(attitude[:, :2]).max()):.0f} deg;"
             f" at most {np.degrees(STEEPEST_RAD):.0f} can be flown"
         )
-    height = columns[3] if has_height else np.full(len(grid), HEIGHT_M)
+    height = columns[3] if len(columns) > 3 else np.full(len(grid), HEIGHT_M)
     return Reference(path.stem, attitude, height)
 
 
@@ -564,12 +510,8 @@ def _built_in(name: str) -> Array:
     rest = np.zeros(round(REST_S / SAMPLE_PERIOD_S))
     hold = np.ones(round(HOLD_S / SAMPLE_PERIOD_S))
     time = np.arange(0.0, SINE_PERIODS / SINE_HZ, SAMPLE_PERIOD_S)
-    shapes = {
-        "hover": 0.0 * hold,
-        "step": hold,
-        "doublet": np.concatenate([hold, -hold]),
-        "sine": np.sin(2 * np.pi * SINE_HZ * time),
-    }
+    sine, doublet = np.sin(2 * np.pi * SINE_HZ * time), np.concatenate([hold, -hold])
+    shapes = {"hover": 0.0 * hold, "step": hold, "doublet": doublet, "sine": sine}
     piece = np.concatenate([rest, SIZE_RAD * shapes[name], rest])
     attitude = np.zeros((3 * len(piece), 3))
     for axis in range(3):
@@ -577,12 +519,9 @@ def _built_in(name: str) -> Array:
     return attitude
 
 
-def read_rows(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
-    """The rows of a CSV file (n, 4 + those of ``wanted`` that it has), time and angles first, and
-    the names of its columns, in that order.
-
-    Raises BadInputError naming what is missing, or the row that is wrong.
-    """
+def _read_rows(path: Path) -> Array:
+    """The rows of a CSV file: time, angles and, where it has that, height. Raises BadInputError
+    naming what is missing, or the row that is wrong."""
     needed = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -592,9 +531,9 @@ def read_rows(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
             if missing:
                 raise BadInputError(
                     f"reference {path}: no column {', '.join(missing)}; needed are"
-                    f" {', '.join(needed)}, and {', '.join(wanted)} if wanted"
+                    f" {', '.join(needed)}, and height_m if wanted"
                 )
-            chosen = [*needed, *(name for name in wanted if name in names)]
+            chosen = [*needed, *(name for name in names if name == "height_m")]
             rows = []
             for number, row in enumerate(reader, 2):
                 try:
@@ -610,7 +549,7 @@ def read_rows(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
         )
     if not 0.1 <= table[-1, 0] - table[0, 0] <= LONGEST_S:
         raise BadInputError(f"reference {path}: must last 0.1..{LONGEST_S:.0f} s")
-    return table, chosen
+    return table
 
 
 # A model flown along a reference by a simple controller, with everything it would report.
@@ -675,21 +614,14 @@ def _closed_loop(model: Model, reference: Reference, supply_v: float) -> tuple[A
     one = craft[0]
     supply = 1000.0 * supply_v
     # Rotor speeds from wanted accelerations: the inverse of mixer and constants.
-    mixing = np.vstack(
-        [
-            one["rotor_y"] * one["thrust"] / one["inertia"][0],
-            -one["rotor_x"] * one["thrust"] / one["inertia"][1],
-            np.array([-1.0, 1.0, -1.0, 1.0]) * one["drag"] / one["inertia"][2],
-            np.full(4, one["thrust"] / one["mass"]),
-        ]
-    )
+    roll = one["rotor_y"] * one["thrust"] / one["inertia"][0]
+    pitch = -one["rotor_x"] * one["thrust"] / one["inertia"][1]
+    yaw = np.array([-1.0, 1.0, -1.0, 1.0]) * one["drag"] / one["inertia"][2]
+    mixing = np.vstack([roll, pitch, yaw, np.full(4, one["thrust"] / one["mass"])])
     inverse = np.linalg.inv(mixing)
     hover = hover_rev_s(craft)
-    state = craft_state(
-        position_m=(0.0, 0.0, reference.height_m[0]),
-        attitude=(0.0, 0.0, reference.attitude[0, 2]),
-        rotor_rev_s=hover,
-    )
+    at, turned = (0.0, 0.0, reference.height_m[0]), (0.0, 0.0, reference.attitude[0, 2])
+    state = craft_state(position_m=at, attitude=turned, rotor_rev_s=hover)
     state = with_states(craft, state[None], made=True)[0]
     n = len(reference)
     duty, states = np.empty((n, 4)), np.empty((n, len(state)))
@@ -721,9 +653,8 @@ def _closed_loop(model: Model, reference: Reference, supply_v: float) -> tuple[A
         wanted = np.sqrt(np.maximum(inverse @ [*turn, lift], (0.3 * hover) ** 2))
         speed = state[ROTOR]
         duty[row] = duties_for(craft, speed, (wanted - speed) / MOTOR_S, supply)
-        (_, state) = simulate(
-            craft, state, duty[row : row + 1] * supply, supply_mv=np.array([supply])
-        )
+        driven = duty[row : row + 1] * supply
+        (_, state) = simulate(craft, state, driven, supply_mv=np.array([supply]))
         states[row] = state
     return duty, states
 
@@ -733,8 +664,6 @@ def _report(drive: Drive, run: MadeRun) -> MadeRun:
 
     Flown again in short pieces from true states: an open loop would magnify rounding errors.
     """
-    from groundstation.prediction.kernels import coast
-
     n = len(run.duty)
     late = np.maximum(np.arange(n) * run.period_s - float(drive.sensor[0]["delay"]), 0.0)
     states = _between(run.states, late / run.period_s)
@@ -746,30 +675,13 @@ def _report(drive: Drive, run: MadeRun) -> MadeRun:
     for row in range(0, n - 1, PIECE_ROWS):
         ahead = np.arange(1, min(PIECE_ROWS, n - 1 - row) + 1)
         measured = np.empty((1, len(ahead), 9))
-        coast(
-            drive.craft[0],
-            drive.sensor[0],
-            drive.speed,
-            run.period_s,
-            fresh,
-            np.array([row]),
-            ahead,
-            states[row : row + 1].copy(),
-            sensed,
-            leaning,
-            report,
-            measured,
-        )
+        begun = states[row : row + 1].copy()
+        drive.coast(fresh, np.array([row]), ahead, begun, sensed, leaning, report, measured)
         shown[row + 1 : row + 1 + len(ahead)] = measured[0]
     shown[0] = shown[1]
-    gyro, accelerometer, attitude = (shown[:, i : i + 3].copy() for i in (0, 3, 6))
-    return replace(
-        run,
-        gyro=gyro,
-        accelerometer=accelerometer,
-        attitude=np.unwrap(attitude, axis=0),
-        rotor_rev_s=drive.rotor_rev_s,
-    )
+    gyro, force, attitude = (shown[:, i : i + 3].copy() for i in (0, 3, 6))
+    attitude, speed = np.unwrap(attitude, axis=0), drive.rotor_rev_s
+    return replace(run, gyro=gyro, accelerometer=force, attitude=attitude, rotor_rev_s=speed)
 
 
 def _between(states: Array, at: Array) -> Array:

@@ -6,8 +6,8 @@ import difflib
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,16 +16,21 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.errors import BadInputError
-from groundstation.recording.delimited import FRACTION, TextTable, base_name, called, open_table
-from groundstation.recording.map_document import NAMED, ColumnMap, map_for
-from groundstation.recording.map_plan import (
-    SHOWN,
-    SILENT,
+from groundstation.recording.delimited import (
+    Block,
+    ColumnTable,
+    TextTable,
+    base_name,
+    called,
+    open_table,
+)
+from groundstation.recording.map_document import (
+    NAMED,
     Channel,
     Plan,
-    Said,
     decided,
-    map_of_series,
+    known_map,
+    map_for,
     map_of_table,
     plan_of,
 )
@@ -40,6 +45,8 @@ from groundstation.recording.motor_columns import (
 from groundstation.recording.session import (
     EVERY_ROW,
     SYNTHESISED,
+    Findings,
+    Log,
     Recording,
     Rows,
     Series,
@@ -50,13 +57,12 @@ from groundstation.recording.session import (
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import FULL_16_BIT
 from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
+from groundstation.text import some
 
 # Rows of a file in the order in which they were measured: counters that wrapped unwrapped, rows
 # that were overtaken put where they belong, copies left out, restarts told from all of these.
 
 
-ROWS_METADATA = "rows"
-"""Metadata record of what became of a file's rows: ``RowOrder.notes``."""
 WRAPS_S = tuple(2**bits * unit_s for bits in (32, 24) for unit_s in (1e-3, 1e-6))
 """Full turns of the counters that loggers use: ms and us in 32 and 24 bits."""
 WRAPPED_WITHIN_S = 1.0
@@ -246,7 +252,7 @@ CRAFT = re.compile(r"(?:^|[._ ])(?:uri|craft|crazyflie|drone|robot|agent|uav|cf)
 MOST, TURNS, FEWEST = 64, 0.1, 10
 """Values that such a column takes at most, and the share and the number of rows at which it changes
 at least."""
-_VALUES_SHOWN = 4
+_VALUES_NAMED = 4
 LAGS = 24
 """Crafts in turn that a state is tried for."""
 JUMPS, SMOOTH, FEW = 3.0, 0.8, 8
@@ -261,54 +267,43 @@ ALIKE = 0.7
 """Correlation of an angle's steps with the gyro from which the craft really turned so."""
 
 
-def whose_column(
-    names: Sequence[str],
-    texts: Callable[[int], Sequence[str]],
-    taken: Sequence[int],
-    time: int | None = None,
-) -> tuple[str, list[str]] | None:
-    """The column by which the rows of a table are several crafts' or sensors', and its values; None
-    where there is none.
+def require_one_craft(
+    table: TextTable | ColumnTable, taken: Sequence[int], time: int | None
+) -> None:
+    """Raises BadInputError where a column says that the rows are several crafts' or sensors'.
 
-    texts: cells of the column at a place, of the first rows and some of the last. taken: places of
-    columns that are channels, whose state is asked. time: place of the clock among them.
+    taken: places of columns that are channels, whose state is asked. time: place of the clock among
+    them, None where there is none.
     """
-    clock = None if time is None else _numbers(texts(time))
-    states = [_numbers(texts(place)) for place in taken if place != time]
-    for place, name in enumerate(names):
+    clock = None if time is None else _numbers(table.first_cells(time))
+    states = [_numbers(table.first_cells(place)) for place in taken if place != time]
+    for place, name in enumerate(table.names):
         if place in taken or not name:
             continue
-        cells = [one.strip() for one in texts(place)]
+        cells = [one.strip() for one in table.first_cells(place)]
         values = list(dict.fromkeys(cells))
         if not 2 <= len(values) <= MOST or len(cells) < 2:
             continue
         label = np.array([values.index(one) for one in cells])
-        called = WHOSE.fullmatch(name) is not None
+        called, craft = WHOSE.fullmatch(name) is not None, CRAFT.search(name) is not None
         turned = np.flatnonzero(np.diff(label)) + 1
         told = [one or "(empty)" for one in values]
         text = all(np.isnan(_number(one)) for one in values)
         if len(turned) <= max(FEWEST, TURNS * len(cells)):
-            owner = text and CRAFT.search(name) is not None and "" not in values
-            if owner or ((called or text) and _begins_anew(clock, turned)):
-                return name, told
-            continue
-        nearer = _nearer(label, turned, states)
-        tells = len(values) <= (MOST if called else FEW) and sum(one > JUMPS for one in nearer) > 1
-        smooth = any(one < SMOOTH for one in nearer)
-        craft = CRAFT.search(name) is not None
-        if tells or ((craft or (called and not smooth)) and _whole(told)):
-            return name, told
-    return None
-
-
-def refusal(name: str, values: Sequence[str]) -> str:
-    """What to say of rows of several."""
-    more = f" and {len(values) - _VALUES_SHOWN} more" if len(values) > _VALUES_SHOWN else ""
-    return (
-        f"rows of {len(values)} crafts or sensors: column {name!r} takes turns between"
-        f" {', '.join(values[:_VALUES_SHOWN])}{more}; make a file of one: groundstation convert"
-        f" FILE ONE.mcap --only {name}={values[0]}"
-    )
+            owner = text and craft and "" not in values
+            several = owner or ((called or text) and _begins_anew(clock, turned))
+        else:
+            nearer = _nearer(label, turned, states)
+            most = MOST if called else FEW
+            tells = len(values) <= most and sum(one > JUMPS for one in nearer) > 1
+            smooth = any(one < SMOOTH for one in nearer)
+            several = tells or ((craft or (called and not smooth)) and _whole(told))
+        if several:
+            raise BadInputError(
+                f"{table.path}: rows of {len(told)} crafts or sensors: column {name!r} takes turns"
+                f" between {some(told, _VALUES_NAMED)}; make a file of one: groundstation convert"
+                f" FILE ONE.mcap --only {name}={told[0]}"
+            )
 
 
 def jumps(samples: SampleBatch) -> str:
@@ -432,12 +427,6 @@ def _number(text: str) -> float:
 # Any other CSV through a column map: what ``map_document`` describes, applied to numbers.
 
 
-UNCLEAR_METADATA = "unclear"
-"""Metadata record of what a file leaves open, field -> words."""
-NO_CHANNEL = "channels"
-"""Its field that says which columns there are instead, where none is of a channel."""
-NOTES_METADATA = "notes"
-"""Metadata record of what was found while reading and settled."""
 COMMAND_TABLE = "command"
 """Table that keeps the firmware's ``motor.m1..m4`` where the duty comes from elsewhere."""
 _LIMITS = {"ticks": (-4e18, 4e18), "debug": (0.0, 2.0**32 - 1)}
@@ -447,7 +436,16 @@ def read_mapped_csv(
     path: Path, source: str | Path | None = None, rows: Rows = EVERY_ROW
 ) -> Recording:
     """Read any CSV by the columns that a map names: one of ``NAMED``, a TOML file, or the one that
-    ships and knows the header (None).
+    ships and knows the header (None). Raises as ``read_mapped``."""
+    skip = 0 if source is None else map_for(path, "csv", source)[0].skip
+    return read_mapped(open_table(path, skip).chosen(rows), source, rows)
+
+
+@np.errstate(invalid="ignore")  # damage may leave a NaN that numpy signals when it is converted
+def read_mapped(
+    table: TextTable | ColumnTable, source: str | Path | None, rows: Rows = EVERY_ROW
+) -> Recording:
+    """What a map (None: the one that ships and knows the columns) makes of a table.
 
     A time that goes backwards starts a new segment; an empty cell is NaN; a channel that is
     not mapped is NaN. There are no raw packets.
@@ -455,250 +453,98 @@ def read_mapped_csv(
     Raises RecordingError where a file cannot be opened, BadInputError where the map is wrong
     (file and key), a column is missing, or a cell does not read (file, line, column).
     """
-    skip = 0 if source is None else map_for(path, "csv", source)[0].skip
-    table = chosen(open_table(path, skip), rows)
-    said = said_by(table, named=False)
-    column_map, map_path = map_of_table(path, table.names, table.first_numbers, source, rows, said)
-    named = map_path in (path, *NAMED.values())
-    plan = plan_of(column_map, map_path, called(table.names), said_by(table, named))
-    places = [place_of(path, table.names, table.width, one, map_path) for one in plan.wanted]
+    column_map, where = map_of_table(table, source, rows)
+    named = where in (table.path, *NAMED.values())
+    plan = plan_of(column_map, where, called(table.names), table.said_by(named))
+    places = [place_of(table, one, where) for one in plan.wanted]
     if rows.only is None:
-        require_one_craft(path, table.names, table.first_cells, places, _clock_of(plan, places))
-    batches: list[SampleBatch] = []
-    rest = [np.empty((0, len(plan.kept)))]
-    unclear: dict[str, str] = {}
-    count, untimed, moved = 0, 0, np.zeros(len(plan.wanted), np.intp)
-    for block in table.blocks(places):
-        if not batches:
-            plan, unclear = decided(plan, block.values, named)
-        timed = _timed(plan, block.values)
-        values = block.values[timed]
-        untimed += len(block.values) - len(values)
-        batches.append(_samples(plan, values, _at(block.error, timed), count))
-        count += len(values)
-        moved += changes(values)
-        rest.append(_kept(plan, values))
-    _say_untimed(path, unclear, untimed, count)
-    plan, crowd = _of_four(plan, moved, batches)
-    unclear |= crowd
-    samples = SampleBatch.concatenate(batches) if batches else empty_samples(0, plan.tick_s)
-    kept = np.concatenate(rest)
-    return _recording(path, plan, column_map, samples, kept, table.names, table.damage, unclear)
-
-
-def chosen(table: TextTable, rows: Rows) -> TextTable:
-    """A table of the rows that are asked for.
-
-    Raises BadInputError where it has no such column or no such row."""
-    if rows.only is None:
-        return table
-    name, value = rows.only
-    if name not in table.names:
-        raise BadInputError(f"{table.path}: --only {name}={value}: there is no column {name!r}")
-    table.only = table.names.index(name), value
-    values = list(dict.fromkeys(table.first_cells(table.only[0])))
-    if value not in values:
-        listed = ", ".join(values[:SHOWN])
-        raise BadInputError(f"{table.path}: --only {name}={value}: the column has {listed}")
-    return table
-
-
-def require_one_craft(
-    path: Path,
-    names: Sequence[str],
-    texts: Callable[[int], Sequence[str]],
-    taken: Sequence[int],
-    time: int | None,
-) -> None:
-    """Raises BadInputError where the rows of a table are several crafts' or sensors'; arguments as
-    ``whose_column``."""
-    found = whose_column(names, texts, taken, time)
-    if found is not None:
-        raise BadInputError(f"{path}: {refusal(*found)}")
-
-
-def _clock_of(plan: Plan, places: Sequence[int]) -> int | None:
-    """Place of the clock among a plan's columns, None where it has none."""
-    return None if plan.step_s else places[0]
-
-
-def said_by(table: TextTable, named: bool) -> Said:
-    """What a table's header says. named: by a map that ships, which knows a format and not a file:
-    the file's own unit holds for a column's whole name too, and so does that of a date."""
-    units: dict[str, str] = {}
-    names = table.names or [str(place + 1) for place in range(table.width)]
-    for place, (name, unit) in enumerate(zip(names, table.units, strict=True)):
-        if unit:
-            units |= {base_name(name)[0]: unit} if base_name(name)[0] != name else {}
-            is_time = unit == FRACTION or place in table.dated | table.fractions
-            units |= {name: unit} if named or is_time else {}
-    return Said(units, table.said)
-
-
-def mapped_recording(
-    path: Path,
-    plan: Plan,
-    column_map: ColumnMap,
-    values: NDArray[np.float64],
-    names: Collection[str],
-    unclear: Mapping[str, str],
-    damage: Sequence[str] = (),
-    notes: Sequence[str] = (),
-) -> Recording:
-    """What a map makes of a file's columns (n, channels, kept and beside of ``plan``). names: every
-    column of the file. unclear: field -> what the file leaves open. notes: what was settled.
-
-    Raises BadInputError for a value that cannot be (column, row).
-    """
-
-    def refuse(row: int, place: int, why: str) -> BadInputError:
-        return BadInputError(f"{path}: {plan.channels[place].column}, row {row + 1}: {why}")
-
-    samples = _samples(plan, values, refuse)
-    plan, crowd = _of_four(plan, changes(values), [samples])
-    kept, unclear = _kept(plan, values), {**unclear, **crowd}
-    return _recording(path, plan, column_map, samples, kept, names, damage, unclear, notes)
-
-
-@np.errstate(invalid="ignore")  # damage may leave a NaN that numpy signals when it is converted
-def mapped_columns(
-    path: Path,
-    names: Sequence[str],
-    numbers: Callable[[str], NDArray[np.float64]],
-    source: str | Path | None,
-    said: Said = SILENT,
-    damage: Sequence[str] = (),
-    rows: Rows = EVERY_ROW,
-    texts: Callable[[int], Sequence[str]] | None = None,
-) -> Recording:
-    """What a map makes of a table's columns. numbers: those of a column (n,). texts: some cells of
-    the column at a place, where its rows may be several crafts'.
-
-    Raises BadInputError as ``read_mapped_csv``.
-    """
-
-    def there(name: str) -> NDArray[np.float64] | None:
-        try:
-            return numbers(name)
-        except BadInputError:
-            return None
-
-    column_map, map_path = map_of_table(path, names, there, source, rows, said)
-    plan = plan_of(column_map, map_path, called(names), said)
-    places = [place_of(path, names, len(names), one, map_path) for one in plan.wanted]
-    if texts is not None and rows.only is None:
-        require_one_craft(path, names, texts, places, _clock_of(plan, places))
-    values = np.column_stack([numbers(names[k]) for k in places])
-    plan, unclear = decided(plan, values, map_path in (path, *NAMED.values()))
-    timed = _timed(plan, values)
-    _say_untimed(path, unclear, len(values) - len(timed), len(timed))
-    values = values[timed]
-    return mapped_recording(path, plan, column_map, values, names, unclear, damage)
+        require_one_craft(table, places, None if plan.step_s else places[0])
+    found = Findings(table.damage)
+    return _recording(table.path, plan, table.blocks(places), table.names, found, named)
 
 
 def _recording(
     path: Path,
     plan: Plan,
-    column_map: ColumnMap,
-    samples: SampleBatch,
-    kept: NDArray[np.float64],
+    blocks: Iterable[Block],
     names: Collection[str],
-    damage: Sequence[str],
-    unclear: Mapping[str, str],
-    settled: Sequence[str] = (),
+    found: Findings,
+    named: bool = False,
 ) -> Recording:
-    """Samples with their clock, tables from the columns that are kept, and metadata."""
-    samples, order = in_order(samples, [kept])
-    kept = order.of(kept)
+    """What a plan makes of a file: samples with their clock, tables, and metadata.
+
+    blocks: of the columns that the plan wants. names: every column of the file. found: what its
+    reader found. named: as ``decided`` takes it.
+    """
+    batches: list[SampleBatch] = []
+    kept = [np.empty((0, len(plan.kept)))]
+    count, untimed, moved = 0, 0, np.zeros(len(plan.wanted), np.intp)
+    for block in blocks:
+        if not batches:
+            plan, unclear = decided(plan, block.values, named)
+            found.unclear.update(unclear)
+        timed = np.arange(len(block.values))
+        if not plan.step_s:
+            timed = np.flatnonzero(np.isfinite(block.values[:, 0]))
+        batches.append(_samples(plan, block, timed, count))
+        values = block.values[timed]
+        count += len(timed)
+        untimed += len(block.values) - len(timed)
+        moved += changes(values)
+        kept.append(values[:, len(plan.channels) : len(plan.channels) + len(plan.kept)])
+    if untimed and not count:
+        raise BadInputError(f"{path}: no row has a time")
+    samples = SampleBatch.concatenate(batches) if batches else empty_samples(0, plan.tick_s)
+    motors = [k for k, one in enumerate(plan.channels) if one.field == "duty"]
+    beside = [str(one.column) for one in plan.beside]
+    crowd = too_many(moved[motors], moved[len(moved) - len(beside) :], beside)
+    if crowd:
+        samples.duty[:] = samples.rotor_rev_s[:] = np.nan
+    samples, order = in_order(samples, [np.concatenate(kept)])
     samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, plan.tick_s, samples.segment)
-    metadata: dict[str, dict[str, str]] = {
-        "host_time": dict(SYNTHESISED),
-        "column_map": plan.text,
-    }
-    tables = _tables(plan.kept, kept, samples.time_s)
-    note, open_ = _settled(plan, column_map, samples, tables)
-    unclear = {**({"duty": open_} if open_ else {}), **unclear}
-    if notes := [*settled, *([note] if note else [])]:
-        metadata[NOTES_METADATA] = {str(k): note for k, note in enumerate(notes, 1)}
-    if unclear:
-        metadata[UNCLEAR_METADATA] = unclear
-    if order.notes:
-        metadata[ROWS_METADATA] = order.notes
-    if column_map.vehicle is not None:
-        metadata["vehicle"] = {"profile": column_map.vehicle}
-    elif column_map.family is not None:
-        metadata["vehicle"] = {"family": column_map.family, "because": column_map.title}
+    tables = _tables(plan.kept, order.of(np.concatenate(kept)), samples.time_s)
+    if not crowd:
+        _settle(plan, samples, tables, found)
+    if untimed:
+        found.unclear["time"] = f"{untimed} rows without a time were left out"
+    if crowd:
+        found.unclear["duty"] = crowd
+    if plan.map.vehicle is not None:
+        vehicle = {"profile": plan.map.vehicle}
+    elif plan.map.family is not None:
+        vehicle = {"family": plan.map.family, "because": plan.map.title}
     else:
-        metadata["vehicle"] = family_of(names, samples)
+        vehicle = family_of(names, samples)
     return Recording(
         path=path,
-        kind=column_map.kind,
+        kind=plan.map.kind,
         samples=samples,
         tables=tables,
-        metadata=metadata,
-        damage=list(damage),
+        metadata={
+            "host_time": dict(SYNTHESISED),
+            "column_map": plan.text,
+            **found.metadata(order.notes),
+            "vehicle": vehicle,
+        },
+        damage=list(found.damage),
     )
 
 
-def _timed(plan: Plan, values: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Rows that have a time."""
-    if plan.step_s:
-        return np.arange(len(values))
-    return np.flatnonzero(np.isfinite(values[:, 0]))
-
-
-def _at(
-    error: Callable[[int, int, str], BadInputError], rows: NDArray[np.intp]
-) -> Callable[[int, int, str], BadInputError]:
-    """What to raise for a row of those that were chosen."""
-    return lambda row, place, why: error(int(rows[row]), place, why)
-
-
-def _say_untimed(path: Path, unclear: dict[str, str], untimed: int, timed: int) -> None:
-    """Raises BadInputError where no row has a time."""
-    if untimed and not timed:
-        raise BadInputError(f"{path}: no row has a time")
-    if untimed:
-        unclear["time"] = f"{untimed} rows without a time were left out"
-
-
-def _kept(plan: Plan, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return values[:, len(plan.channels) : len(plan.channels) + len(plan.kept)]
-
-
-def _of_four(
-    plan: Plan, moved: NDArray[np.intp], batches: Sequence[SampleBatch]
-) -> tuple[Plan, dict[str, str]]:
-    """The plan, and the samples, without motors where more than four of a file move, and that in
-    words. moved: how often each wanted column changes."""
-    motors = [k for k, one in enumerate(plan.channels) if one.field == "duty"]
-    names = [str(one.column) for one in plan.beside]
-    why = too_many(moved[motors], moved[len(moved) - len(names) :], names)
-    if not why:
-        return plan, {}
-    for batch in batches:
-        batch.duty[:] = batch.rotor_rev_s[:] = np.nan
-    channels = tuple(one for one in plan.channels if one.field not in ("duty", "rotor_rev_s"))
-    return replace(plan, channels=channels), {"duty": why}
-
-
-def _settled(
-    plan: Plan, column_map: ColumnMap, samples: SampleBatch, tables: Mapping[str, Table]
-) -> tuple[str, str]:
-    """Make the motors' column the duty where it is the thrust command of a Crazyflie: a note, and
-    what stays open, either empty."""
+def _settle(plan: Plan, samples: SampleBatch, tables: Mapping[str, Table], found: Findings) -> None:
+    """Make the motors' column the duty where it is the thrust command of a Crazyflie."""
     duty = [channel for channel in plan.channels if channel.field == "duty"]
-    known = column_map.vehicle is not None
-    if duty and (column_map.commands or all(is_command(one.column, known) for one in duty)):
-        return settle_duty(samples)
+    known = plan.map.vehicle is not None
+    if duty and (plan.map.commands or all(is_command(one.column, known) for one in duty)):
+        settle_duty(samples, found)
+        return
+    beside = tables[COMMAND_TABLE].columns if COMMAND_TABLE in tables else {}
     for channel in duty:
-        beside = tables.get(COMMAND_TABLE, Table(samples.time_s, {})).columns
         command = beside.get(f"motor.m{(channel.index or 0) + 1}")
         if command is not None and channel.index is not None:
             asked = command.astype(np.float64) / FULL_16_BIT
             if differs(asked, samples.duty[:, channel.index].astype(np.float64)):
-                return DIFFERS, ""
-    return "", ""
+                found.notes.append(DIFFERS)
+                return
 
 
 def _tables(
@@ -712,22 +558,20 @@ def _tables(
     return tables
 
 
-def place_of(path: Path, names: Sequence[str], width: int, channel: Channel, map_path: Path) -> int:
-    """Position in a row of the column that a channel names. names: of the file's columns, empty
-    without a header. width: how many there are.
+def place_of(table: TextTable | ColumnTable, channel: Channel, map_path: Path) -> int:
+    """Position in a row of the column that a channel names.
 
     Raises BadInputError where there is no such column, or more than one.
     """
+    path, names = table.path, table.names
     if isinstance(channel.column, int):
-        if channel.column > width:
+        if channel.column > table.width:
             raise BadInputError(
                 f"{map_path}: {channel.key}.column is {channel.column}, but {path} has "
-                f"{width} columns"
+                f"{table.width} columns"
             )
         return channel.column - 1
-    given = list(names)
-    if channel.column not in given:
-        given = [base_name(one)[0] for one in given]
+    given = names if channel.column in names else [base_name(one)[0] for one in names]
     found = given.count(channel.column)
     if found == 1:
         return given.index(channel.column)
@@ -746,16 +590,13 @@ def place_of(path: Path, names: Sequence[str], width: int, channel: Channel, map
 
 
 @np.errstate(over="ignore", invalid="ignore")  # beyond what a channel holds is no value
-def _samples(
-    plan: Plan,
-    values: NDArray[np.float64],
-    error: Callable[[int, int, str], BadInputError],
-    first: int = 0,
-) -> SampleBatch:
-    """Samples from the columns (n, len(plan.channels) or more) that a plan names.
+def _samples(plan: Plan, block: Block, rows: NDArray[np.intp], first: int) -> SampleBatch:
+    """Samples of some rows of a block, whose columns are those that a plan wants. first: number of
+    the first row.
 
-    error: what to raise for the cell at a row and column, and why. first: number of the first row.
+    Raises BadInputError for a value that cannot be.
     """
+    values = block.values[rows]
     samples = empty_samples(len(values), plan.tick_s)
     if plan.step_s:
         numbers = np.arange(first, first + len(values))
@@ -769,8 +610,8 @@ def _samples(
             scaled = np.rint(cells * channel.scale)
             wrong = np.flatnonzero(~((scaled >= low) & (scaled <= high)))
             if len(wrong):
-                row = int(wrong[0])
-                raise error(row, place, f"{cells[row]:g} cannot be {channel.key}")
+                why = f"{cells[wrong[0]]:g} cannot be {channel.key}"
+                raise block.error(int(rows[wrong[0]]), place, why)
             getattr(samples, channel.field)[:] = scaled
             continue
         if channel.zero is not None:
@@ -786,7 +627,7 @@ def _samples(
         known = np.isfinite(size) & (size > 0)
         unit = quaternion[known] / size[known, None]
         samples.attitude[known] = attitude_of_quaternion(unit)
-    if plan.from_north:
+    if plan.map.yaw_from == "north":
         yaw = samples.attitude[:, 2]
         yaw[:] = np.remainder(yaw + 1.5 * np.pi, math.tau) - np.pi
     return samples
@@ -802,58 +643,50 @@ def _samples(
 _Columns = Mapping[str, tuple[Series, NDArray[np.generic]]]
 TOPIC = "topic"
 """By which the rows of one craft are chosen, ``--only topic=/cf1``."""
-PARTS_SHOWN = 12
-"""Series that an error names."""
 
 
 def read_mapped_series(
-    path: Path,
-    kind: Literal["ulog", "rosbag"],
-    series: Sequence[Series],
-    source: str | Path | None,
-    damage: Sequence[str] = (),
-    unread: Sequence[str] = (),
-    notes: Sequence[str] = (),
-    unclear: Mapping[str, str] | None = None,
+    path: Path, kind: Literal["ulog", "rosbag"], log: Log, source: str | Path | None
 ) -> Recording:
-    """Read a log by a map (None: the named one that knows it).
+    """Read a log of many series by a map (None: the named one that knows it).
 
-    unread: types of series that could not be read, told where a map finds too little. notes,
-    unclear: what its reader has settled, and left open by field.
-
-    Raises BadInputError where no map fits, and as ``read_mapped_csv``.
+    Raises BadInputError where no map fits, and as ``read_mapped``.
     """
-    by_name = _called(series)
+    by_name = _called(log.series)
     columns = _columns(by_name)
-    listed = _cut([f"{one.name} ({one.type})" if one.type else one.name for one in series])
-    if unread:
-        listed += f"; types that do not parse: {_cut(unread)}"
+    listed = some([f"{one.name} ({one.type})" if one.type else one.name for one in log.series])
+    if log.unread:
+        listed += f"; types that do not parse: {some(log.unread)}"
     if source is None:
-        source = map_of_series(kind, columns)
+        source = known_map(kind, columns)
         if source is None:
-            _refuse_several(path, series, lambda some: map_of_series(kind, _columns(some)))
+            _refuse_several(path, log.series, lambda part: known_map(kind, _columns(part)))
             raise BadInputError(
                 f"{path}: no known map fits its series ({listed}); say which channel each is with"
                 " 'groundstation convert FILE --map', and read the file with --columns"
             )
-    column_map, map_path = map_for(path, kind, source)
+    column_map, where = map_for(path, kind, source)
     rows = by_name.get(column_map.rows)
     if rows is None:
-        _refuse_several(path, series, lambda some: column_map.rows in some)
-    if rows is None or (rows.type in unread and not len(rows.time_ns)):
+        _refuse_several(path, log.series, lambda part: column_map.rows in part)
+    if rows is None or (rows.type in log.unread and not len(rows.time_ns)):
         raise BadInputError(
-            f"{path}: no series {column_map.rows!r} (rows in {map_path}); it has {listed}"
+            f"{path}: no series {column_map.rows!r} (rows in {where}); it has {listed}"
         )
-    plan = plan_of(column_map, map_path, columns)
+    plan = plan_of(column_map, where, columns)
     for channel in (*plan.channels, *plan.kept):
         if channel.column not in columns:
             raise BadInputError(
-                f"{path}: no column {channel.column!r} ({channel.key} in {map_path}); a column is"
+                f"{path}: no column {channel.column!r} ({channel.key} in {where}); a column is"
                 f" SERIES.FIELD, the series are {listed}"
             )
-    values = _on_rows(plan, rows, columns)
+
+    def refuse(row: int, place: int, why: str) -> BadInputError:
+        return BadInputError(f"{path}: {plan.channels[place].column}, row {row + 1}: {why}")
+
+    block = Block(_on_rows(plan, rows, columns), refuse)
     names = [name.rpartition(".")[2] for name in columns]
-    return mapped_recording(path, plan, column_map, values, names, unclear or {}, damage, notes)
+    return _recording(path, plan, [block], names, log.found)
 
 
 def under(series: Sequence[Series], topic: str) -> list[Series]:
@@ -880,7 +713,7 @@ def _refuse_several(
             found.append(topic)
     if found:
         raise BadInputError(
-            f"{path}: topics of several crafts or sensors: {_cut(found)}; make a file of one:"
+            f"{path}: topics of several crafts or sensors: {some(found)}; make a file of one:"
             f" groundstation convert BAG ONE.mcap --only {TOPIC}={found[0]}"
         )
 
@@ -924,8 +757,3 @@ def _called(series: Sequence[Series]) -> dict[str, Series]:
     ]
     times = Counter(name for name, _ in names)
     return {name: one for name, one in names if times[name] == 1 or name == one.name}
-
-
-def _cut(parts: Sequence[str]) -> str:
-    more = f" and {len(parts) - PARTS_SHOWN} more" if len(parts) > PARTS_SHOWN else ""
-    return ", ".join(parts[:PARTS_SHOWN]) + more

@@ -1,4 +1,5 @@
-"""CSV files: the thesis's layout (the packet's integers) and a table in physical units.
+"""Our own CSV files: the thesis's layout (the packet's integers) and a table in physical units. A
+CSV of another program is a map in ``maps/`` (``map_document.py``).
 
 The thesis's layout has one line per sample, ``Timestamp,Battery,...,Debug``, exactly the
 counts of the packet with the timestamp unwrapped (ticks of 73/72 us) and pitch as the
@@ -17,15 +18,12 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInputError, RecordingError
-from groundstation.paths import taken
+from groundstation.errors import BadInputError
+from groundstation.paths import writing
 from groundstation.recording.column_map import (
-    NOTES_METADATA,
-    ROWS_METADATA,
-    UNCLEAR_METADATA,
-    chosen,
     in_order,
     order_of,
+    read_mapped,
     read_mapped_csv,
     require_one_craft,
 )
@@ -41,6 +39,8 @@ from groundstation.recording.session import (
     CHANNELS,
     EVERY_ROW,
     SYNTHESISED,
+    UNCLEAR_METADATA,
+    Findings,
     Recording,
     Rows,
     host_time_from_ticks,
@@ -57,22 +57,8 @@ from groundstation.telemetry.packet import (
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples, packet_counts
 
 THESIS_COLUMNS = (
-    "Timestamp",
-    "Battery",
-    "Motor1",
-    "Motor2",
-    "Motor3",
-    "Motor4",
-    "GyroX",
-    "GyroY",
-    "GyroZ",
-    "AccX",
-    "AccY",
-    "AccZ",
-    "Roll",
-    "Pitch",
-    "Yaw",
-    "Debug",
+    *("Timestamp", "Battery", "Motor1", "Motor2", "Motor3", "Motor4", "GyroX", "GyroY", "GyroZ"),
+    *("AccX", "AccY", "AccZ", "Roll", "Pitch", "Yaw", "Debug"),
 )
 """Header of the thesis's layout (thesis figure 5.7)."""
 
@@ -98,9 +84,9 @@ _DOUBT = (
 _WRITE_ROWS = 20_000
 
 
-def read_csv(path: Path, rows: Rows = EVERY_ROW) -> Recording:
-    """Read a CSV file in the thesis's layout, in physical units or with the columns that a named
-    map knows, told apart by the header.
+def read_csv(path: Path, source: str | Path | None = None, rows: Rows = EVERY_ROW) -> Recording:
+    """Read a CSV file by a column map (None: in the thesis's layout, in physical units or with the
+    columns that a named map knows, told apart by the header).
 
     A time that goes backwards starts a new segment. Host stamps are made from device time
     where the file has none. Rows that fit the packet are also given as raw packets, one copy
@@ -109,7 +95,9 @@ def read_csv(path: Path, rows: Rows = EVERY_ROW) -> Recording:
     Raises RecordingError where the file cannot be opened, BadInputError (file, line, column)
     where it does not read. A torn last line is left out and named in ``damage``.
     """
-    table = chosen(open_table(path), rows)
+    if source is not None:
+        return read_mapped_csv(path, source, rows)
+    table = open_table(path).chosen(rows)
     positions = {name.lower(): place for place, name in enumerate(table.names) if name}
     if "time_s" in positions and not rows.rate_hz:
         doubt = _doubt(positions)
@@ -117,14 +105,14 @@ def read_csv(path: Path, rows: Rows = EVERY_ROW) -> Recording:
         known = [positions[one.header] for one in CHANNELS if one.header in positions]
         time = positions["time_s"]
         if rows.only is None:
-            require_one_craft(path, table.names, table.first_cells, [time, *known], time)
+            require_one_craft(table, [time, *known], time)
         return _read_physical(table, positions, doubt)
     missing = [name for name in THESIS_COLUMNS if name.lower() not in positions]
     if not missing and not rows.rate_hz:
         return _read_thesis(table, [positions[name.lower()] for name in THESIS_COLUMNS])
     if len(missing) <= len(THESIS_COLUMNS) // 4 and not rows.rate_hz:
         raise BadInputError(f"{path}: the thesis's layout, but no column {', '.join(missing)}")
-    return read_mapped_csv(path, None, rows)
+    return read_mapped(table, None, rows)
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -151,7 +139,7 @@ def write_table_csv(recording: Recording, path: Path) -> None:
     """Write the samples in physical units, each header with its unit.
 
     Columns: ``time_s`` (device time), ``segment``, ``host_time_s`` (Unix), the channels of
-    ``channels.CHANNELS`` and ``debug``. A channel the recording does not have is left out; a
+    ``session.CHANNELS`` and ``debug``. A channel the recording does not have is left out; a
     missing value is ``nan``. Reading the file gives the same samples, time to the nanosecond.
     Duties that may be commands of thrust are ``command_1`` to ``command_4``, those in doubt for
     another reason ``doubtful_duty_1`` to ``doubtful_duty_4``, and stay in doubt.
@@ -197,10 +185,7 @@ def _read_thesis(table: TextTable, places: list[int]) -> Recording:
         kind="csv",
         samples=samples,
         raw=_as_packets(ticks, counts, debug, host_time_ns),
-        metadata={
-            "host_time": dict(SYNTHESISED),
-            **({ROWS_METADATA: order.notes} if order.notes else {}),
-        },
+        metadata={"host_time": dict(SYNTHESISED), **Findings().metadata(order.notes)},
         damage=table.damage,
     )
 
@@ -222,26 +207,17 @@ def _from_counts(
     host_time_ns: NDArray[np.int64],
 ) -> SampleBatch:
     """Samples from (n, 14) counts: battery, motors, gyro, accelerometer, angles."""
-
-    def scaled(columns: slice, unit: float) -> NDArray[np.float32]:
-        return counts[:, columns].astype(np.float32) * np.float32(unit)
-
-    attitude = scaled(slice(11, 14), ANGLE_RAD)
-    attitude[:, 1] *= -1  # the firmware's pitch is nose up positive
-    return SampleBatch(
-        ticks=ticks,
-        host_time_ns=host_time_ns,
-        segment=segment,
-        copies=np.ones(len(ticks), np.uint8),
-        battery_v=scaled(slice(0, 1), BATTERY_V)[:, 0],
-        duty=scaled(slice(1, 5), DUTY),
-        gyro=scaled(slice(5, 8), GYRO_RAD_S),
-        accelerometer=scaled(slice(8, 11), ACCELEROMETER_M_S2),
-        attitude=attitude,
-        rotor_rev_s=np.full((len(ticks), 4), np.nan, np.float32),
-        debug=debug,
-        duty_step=np.full((len(ticks), 4), np.nan, np.float32),
-    )
+    samples = empty_samples(len(ticks))
+    samples.ticks[:], samples.host_time_ns[:], samples.segment[:] = ticks, host_time_ns, segment
+    samples.debug[:] = debug
+    numbers = counts.astype(np.float32)
+    samples.battery_v[:] = numbers[:, 0] * np.float32(BATTERY_V)
+    samples.duty[:] = numbers[:, 1:5] * np.float32(DUTY)
+    samples.gyro[:] = numbers[:, 5:8] * np.float32(GYRO_RAD_S)
+    samples.accelerometer[:] = numbers[:, 8:11] * np.float32(ACCELEROMETER_M_S2)
+    samples.attitude[:] = numbers[:, 11:14] * np.float32(ANGLE_RAD)
+    samples.attitude[:, 1] *= -1  # the firmware's pitch is nose up positive
+    return samples
 
 
 def _as_packets(
@@ -297,18 +273,19 @@ def _read_physical(table: TextTable, positions: dict[str, int], doubt: str) -> R
             samples.host_time_ns[:] = np.rint(values["host_time_s"] * 1e9)
         blocks.append(samples)
     samples = SampleBatch.concatenate(blocks) if blocks else empty_samples(0, _TABLE_TICK_S)
-    metadata: dict[str, dict[str, str]] = {}
+    found, notes = Findings(table.damage), {}
     motors = [k for k, one in enumerate(channels, len(extras)) if one.field == "duty"]
     if why := too_many(moved[motors], moved[len(names) :], beside):
         samples.duty[:] = np.nan
-        metadata[UNCLEAR_METADATA] = {"duty": why}
-    note, open_ = settle_duty(samples) if doubt == _COMMAND else ("", doubt and _DOUBT)
-    metadata |= {NOTES_METADATA: {"1": note}} if note else {}
-    metadata |= {UNCLEAR_METADATA: {"duty": open_}} if open_ else {}
+        found.unclear["duty"] = why
+    if doubt == _COMMAND:
+        settle_duty(samples, found)
+    elif doubt:
+        found.unclear["duty"] = _DOUBT
     if "segment" not in positions:
         samples, order = in_order(samples)
-        if order.notes:
-            metadata[ROWS_METADATA] = order.notes
+        notes = order.notes
+    metadata = found.metadata(notes)
     if "host_time_s" not in positions:
         samples.host_time_ns[:] = host_time_from_ticks(
             samples.ticks, samples.tick_s, samples.segment
@@ -325,17 +302,11 @@ def _write_rows(file: TextIO, rows: NDArray[Any], formats: list[str]) -> None:
 @contextlib.contextmanager
 def _new_file(path: Path) -> Iterator[TextIO]:
     """A file that did not exist before, and does not exist after a failure."""
-    try:
+    with writing(path):
         file = path.open("x", encoding="ascii", newline="")
-    except FileExistsError as error:
-        raise BadInputError(taken(path)) from error
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-    try:
-        with file:
-            yield file
-    except BaseException as error:
-        path.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-        raise
+        try:
+            with file:
+                yield file
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise

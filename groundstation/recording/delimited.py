@@ -9,16 +9,19 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInputError, RecordingError
+from groundstation.errors import BadInputError
+from groundstation.paths import reading
+from groundstation.recording.session import Rows
 from groundstation.telemetry.arrays import Array
+from groundstation.text import NAMED_MOST
 
 # Times that are no plain number: dates and times of the day as text, and seconds whose fraction is
 # in a column of its own.
@@ -189,28 +192,17 @@ KNOWN = {
     "ns",
     "V",
     "mV",
-    "%",
-    "rad/s",
-    "deg/s",
-    "m/s^2",
-    "g",
-    "rad",
-    "deg",
-    "rev/s",
-    "rpm",
-    "m",
-    "m/s",
-    "mm",
     "A",
     "mA",
     "W",
     "Pa",
+    "C",
+    "degC",
+    "%",
     "flags",
     "1",
     "-",
-    "C",
-    "degC",
-}
+} | {"rad/s", "deg/s", "rad", "deg", "rev/s", "rpm", "m/s^2", "g", "m", "m/s", "mm"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -378,35 +370,19 @@ def _text(cell: bytes) -> str:
 # Accepted: comma, semicolon, tab, pipe or spaces; decimal comma; quotes; CRLF; a byte-order mark;
 # Excel's ``sep=;`` line; a leading column of row numbers with or without a name; a separator at the
 # end of each line; ``1,23E+09`` unquoted in the last column of a comma-separated line; comments and
-# other lines before the header, and units below it (``table_header``); dates and times of the day,
-# read as seconds, and seconds with a column of their fraction (``time_cells``). A last line
-# without its end that does not read is taken for a torn write: it is left out and named in
-# ``damage``. Any other cell that is not a number is an error with its line and column.
+# other lines before the header, and units below it; dates and times of the day, read as seconds,
+# and seconds with a column of their fraction. A last line without its end that does not read is
+# taken for a torn write: it is left out and named in ``damage``. Any other cell that is not a
+# number is an error with its line and column.
 
 
 BLOCK_BYTES = 8 << 20
 _HEAD_BYTES = 1 << 16
-_SHOWN_BYTES = 1 << 20
+_JUDGED_BYTES = 1 << 20
 """Of a file's first rows, by whose texts its columns are judged."""
 MISSING = (
     b"",
-    b"NA",
-    b"N/A",
-    b"n/a",
-    b"#N/A",
-    b"<NA>",
-    b"NULL",
-    b"null",
-    b"None",
-    b"none",
-    b"-",
-    b"?",
-    b"NaN",
-    b"nan",
-    b"1.#QNAN",
-    b"-1.#IND",
-    b"1.#IND",
-    b"#NV",
+    *b"NA N/A n/a #N/A <NA> NULL null None none - ? NaN nan 1.#QNAN -1.#IND 1.#IND #NV".split(),
 )
 """Cells without a value, as spreadsheets, R, pandas, databases and C write them."""
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
@@ -414,23 +390,70 @@ UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass(frozen=True, slots=True)
+class Said:
+    """What a file says of itself: column -> unit, and key -> text of lines before its header."""
+
+    units: Mapping[str, str] = field(default_factory=dict)
+    lines: Mapping[str, str] = field(default_factory=dict)
+
+    def unit_of(self, column: str | int) -> str:
+        return self.units.get(str(column), "")
+
+    def numbers(self, key: str) -> list[float]:
+        """The numbers of a line, none where there is no such line."""
+        found = re.findall(r"[-+]?\d+(?:\.\d+)?", self.lines.get(key, "")) if key else []
+        return [float(one) for one in found]
+
+
+@dataclass(frozen=True, slots=True)
 class Block:
     """Consecutive rows of a table.
 
-    values: (rows, columns asked for), NaN in an empty cell.
+    values: (rows, columns asked for), NaN in an empty cell. error: makes one that names the place
+    of ``values[row, column]`` in the file, and why.
     """
 
-    table: TextTable
-    columns: Sequence[int]
     values: NDArray[np.float64]
-    _text: bytes
-    _first_line: int
+    error: Callable[[int, int, str], BadInputError]
 
-    def error(self, row: int, column: int, why: str) -> BadInputError:
-        """An error that names the line and column of ``values[row, column]``."""
-        filled = [n for n, line in enumerate(self._text.split(b"\n")) if line.strip(b" \r")]
-        line = filled[min(row, len(filled) - 1)]  # a row of tabs alone is one as well
-        return self.table.cell_error(self._first_line + line, self.columns[column], why)
+
+@dataclass(frozen=True, slots=True)
+class ColumnTable:
+    """A table whose columns are in memory: one block.
+
+    numbers: of a column, NaN where it has none; raises BadInputError where it holds none.
+    first_cells: of the column at a place, as text, where rows may be several crafts'. said: what
+    the file says of its columns.
+    """
+
+    path: Path
+    names: list[str]
+    numbers: Callable[[str], NDArray[np.float64]]
+    said: Said = field(default_factory=Said)
+    first_cells: Callable[[int], list[str]] = lambda place: []
+    damage: list[str] = field(default_factory=list)
+
+    @property
+    def width(self) -> int:
+        return len(self.names)
+
+    def said_by(self, named: bool) -> Said:
+        return self.said
+
+    def first_numbers(self, name: str) -> NDArray[np.float64] | None:
+        """The numbers of a column; None where it holds none."""
+        try:
+            return self.numbers(name)
+        except BadInputError:
+            return None
+
+    def blocks(self, columns: Sequence[int]) -> Iterator[Block]:
+        names = [self.names[place] for place in columns]
+
+        def error(row: int, column: int, why: str) -> BadInputError:
+            return BadInputError(f"{self.path}: {names[column]}, row {row + 1}: {why}")
+
+        yield Block(np.column_stack([self.numbers(name) for name in names]), error)
 
 
 @dataclass(slots=True)
@@ -455,7 +478,7 @@ class TextTable:
     damage: list[str] = field(default_factory=list)
     _data_offset: int = 0
     _data_line: int = 1
-    _shown: list[list[bytes]] | None = None
+    _first_rows: list[list[bytes]] | None = None
     units: list[str] = field(default_factory=list)
     said: dict[str, str] = field(default_factory=dict)
     text: bytes | None = None
@@ -463,34 +486,62 @@ class TextTable:
     dated: dict[int, float] = field(default_factory=dict)
     fractions: dict[int, tuple[int, float]] = field(default_factory=dict)
 
+    def chosen(self, rows: Rows) -> Self:
+        """Read the rows alone that are asked for.
+
+        Raises BadInputError where it has no such column or no such row."""
+        if rows.only is not None:
+            name, value = rows.only
+            refused = f"{self.path}: --only {name}={value}"
+            if name not in self.names:
+                raise BadInputError(f"{refused}: there is no column {name!r}")
+            self.only = self.names.index(name), value
+            values = list(dict.fromkeys(self.first_cells(self.only[0])))
+            if value not in values:
+                listed = ", ".join(values[:NAMED_MOST])
+                raise BadInputError(f"{refused}: the column has {listed}")
+        return self
+
+    def said_by(self, named: bool) -> Said:
+        """What the header says. named: by a map that ships, which knows a format and not a file:
+        the file's own unit holds for a column's whole name too, and so does that of a date."""
+        units: dict[str, str] = {}
+        names = self.names or [str(place + 1) for place in range(self.width)]
+        for place, (name, unit) in enumerate(zip(names, self.units, strict=True)):
+            if unit:
+                units |= {base_name(name)[0]: unit} if base_name(name)[0] != name else {}
+                is_time = unit == FRACTION or place in self.dated | self.fractions
+                units |= {name: unit} if named or is_time else {}
+        return Said(units, self.said)
+
     def first_cells(self, column: int) -> list[str]:
         """The cells of a column in the first rows, and in the last."""
-        if self._shown is None:
+        if self._first_rows is None:
             with self._open() as file:
                 file.seek(self._data_offset)
-                head = file.read(_SHOWN_BYTES)
+                head = file.read(_JUDGED_BYTES)
                 size = file.seek(0, io.SEEK_END)
-                file.seek(max(file.tell() - _SHOWN_BYTES // 16, self._data_offset + len(head)))
+                file.seek(max(size - _JUDGED_BYTES // 16, self._data_offset + len(head)))
                 tail = file.read()
             whole = self._data_offset + len(head) >= size
             lines = head.split(b"\n") if whole else head.split(b"\n")[:-1]
             lines += tail.split(b"\n")[1:]
             rows = [plain(one, self.separator, keep_commas=True) for one in lines if one.strip()]
             cells = [one.split(self.separator) for one in rows]
-            self._shown = [one for one in cells if len(one) == self.width]
-        return [row[column].decode("latin-1").strip().strip('"') for row in self._shown]
+            self._first_rows = [one for one in cells if len(one) == self.width]
+        return [row[column].decode("latin-1").strip().strip('"') for row in self._first_rows]
 
     def first_numbers(self, name: str) -> NDArray[np.float64] | None:
         """The first numbers of a column, NaN in an empty cell; None where a cell is none."""
         place = self.names.index(name)
-        values = self._shown_numbers(place)
+        values = self._numbers_of_first(place)
         if values is not None and place in self.fractions:
             other, size = self.fractions[place]
-            fraction = self._shown_numbers(other)
+            fraction = self._numbers_of_first(other)
             return None if fraction is None else values + size * fraction
         return values
 
-    def _shown_numbers(self, place: int) -> NDArray[np.float64] | None:
+    def _numbers_of_first(self, place: int) -> NDArray[np.float64] | None:
         cells = [one.encode("latin-1") for one in self.first_cells(place)]
         if self.separator != b",":
             cells = [one.replace(b",", b".") for one in cells]
@@ -531,7 +582,8 @@ class TextTable:
                 for further, (place, (_, size)) in enumerate(fractions.items(), len(columns)):
                     numbers[:, place] += size * numbers[:, further]
                 go_on(numbers, columns, self.dated, before_s)
-                block = Block(self, columns, numbers[:, : len(columns)], text, first_line)
+                error_at = partial(self._error, text, first_line, columns)
+                block = Block(numbers[:, : len(columns)], error_at)
                 if whole:
                     _require_whole(block)
             except BadInputError as error:
@@ -541,7 +593,15 @@ class TextTable:
             else:
                 yield block
 
-    def cell_error(self, line: int, column: int, why: str) -> BadInputError:
+    def _error(
+        self, text: bytes, first_line: int, columns: Sequence[int], row: int, column: int, why: str
+    ) -> BadInputError:
+        """An error that names the line and column of a cell of a block."""
+        filled = [n for n, line in enumerate(text.split(b"\n")) if line.strip(b" \r")]
+        line = filled[min(row, len(filled) - 1)]  # a row of tabs alone is one as well
+        return self._cell_error(first_line + line, columns[column], why)
+
+    def _cell_error(self, line: int, column: int, why: str) -> BadInputError:
         """An error that names the place in the file."""
         name = self.names[column] if self.names else ""
         label = name or f"number {column + 1}"
@@ -639,7 +699,7 @@ class TextTable:
                     shown = cell[:40].decode("latin-1")
                     kind = "date or time" if column in self.dated else "number"
                     why = f"{shown!r} is not a {kind}" if cell else "the cell is empty"
-                    raise self.cell_error(number, column, why)
+                    raise self._cell_error(number, column, why)
                 row.append(value)
             rows.append(row)
         return np.array(rows)
@@ -708,11 +768,8 @@ def _find_times(table: TextTable, lines: Sequence[bytes]) -> None:
 
 def _head(path: Path) -> tuple[bytes, int, bytes | None]:
     """The file's first bytes, where its text begins, and all of it where it is UTF-16."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    with reading(path), path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
     if not head.strip():
         raise BadInputError(f"{path}: the file is empty")
     if head[:2] in UTF_16:

@@ -10,15 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.documents import open_regular
 from groundstation.errors import BadInputError
+from groundstation.paths import reading
 from groundstation.recording.delimited import FRACTION, TextTable, base_name, open_table
 from groundstation.recording.formats import is_text, refuse_unread
-from groundstation.recording.map_document import UNITS, Kind
-from groundstation.recording.map_plan import (
+from groundstation.recording.map_document import (
     ALIKE,
     ORDER,
     PARTS,
+    UNITS,
     Group,
+    Kind,
     goes_on,
     groups_of,
     is_count,
@@ -28,9 +31,10 @@ from groundstation.recording.map_plan import (
     unit_in_name,
     unit_of,
 )
-from groundstation.recording.ros_bag import is_bag, is_bag_folder
+from groundstation.recording.ros_bag import is_bag, is_bag_folder, series_of_bag
 from groundstation.recording.session import Series
 from groundstation.recording.ulog_file import MAGIC as ULOG_MAGIC
+from groundstation.recording.ulog_file import content_of
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
@@ -333,7 +337,7 @@ def columns_of(path: Path) -> FileColumns:
 
 
 def _reader_of(path: Path) -> Callable[[Path], FileColumns]:
-    with _opened(path) as file:
+    with reading(path), open(open_regular(path), "rb") as file:
         head = file.read(_HEAD_BYTES)
     if not head:
         raise BadInputError(f"{path}: is empty (0 bytes)")
@@ -342,16 +346,6 @@ def _reader_of(path: Path) -> Callable[[Path], FileColumns]:
         if begins(head):
             return read
     raise BadInputError(f"{path}: its channels have fixed names: it takes no column map")
-
-
-def _opened(path: Path) -> Any:
-    from groundstation.documents import open_regular
-    from groundstation.errors import RecordingError
-
-    try:
-        return open(open_regular(path), "rb")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _of_text(path: Path) -> FileColumns:
@@ -397,20 +391,13 @@ def _first_numbers(table: TextTable) -> list[Any]:
 
 
 def _of_parquet(path: Path) -> FileColumns:
-    from pyarrow import ArrowException, Table
-    from pyarrow.parquet import ParquetFile
+    from pyarrow import Table
 
-    from groundstation.errors import RecordingError
-    from groundstation.recording.parquet_file import numbers_of, with_times
+    from groundstation.recording.parquet_file import numbers_of, opened, with_times
 
-    try:
-        file = ParquetFile(path)
+    with opened(path) as file:
         batches = [*islice(file.iter_batches(batch_size=ROWS_MOST), 1)]
         table, units = with_times(Table.from_batches(batches, file.schema_arrow))
-    except (OSError, ArrowException, UnicodeDecodeError) as error:
-        raise RecordingError(
-            f"{path}: a Parquet table that is damaged or was not finished; copy or write it again"
-        ) from error
     columns = []
     for name in table.column_names:
         try:
@@ -452,15 +439,11 @@ def _of_series(path: Path, kind: Kind, series: Sequence[Series]) -> FileColumns:
 
 
 def _of_ulog(path: Path) -> FileColumns:
-    from groundstation.recording.ulog_file import content_of
-
     return _of_series(path, "ulog", content_of(path).series)
 
 
 def _of_bag(path: Path) -> FileColumns:
-    from groundstation.recording.ros_bag import series_of_bag
-
-    return _of_series(path, "rosbag", series_of_bag(path)[0])
+    return _of_series(path, "rosbag", series_of_bag(path).series)
 
 
 _READERS: tuple[tuple[Callable[[bytes], bool], Callable[[Path], FileColumns]], ...] = (

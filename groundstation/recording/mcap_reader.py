@@ -33,6 +33,7 @@ from groundstation.recording.mcap_schemas import (
 from groundstation.recording.session import UNUSUAL, Recording
 from groundstation.telemetry.packet import PACKET_BYTES, TICK_S
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
+from groundstation.text import some
 
 _NAN = struct.pack("<f", float("nan"))
 _DOUBLE = struct.Struct("<d")
@@ -53,7 +54,9 @@ def read_mcap(path: Path, *, raw: bool = False) -> Recording:
     Raises BadInputError where there is no such file; RecordingError where it cannot be read,
     is empty, is no MCAP file, or is one of another program.
     """
-    being_written = _is_held(path)
+    being_written = False
+    with contextlib.suppress(OSError):
+        being_written = is_held(path)
     with McapScan(path) as scan:
         topics = _Topics(scan, raw)
         for channel_id, _, _, payload in scan.messages():
@@ -81,12 +84,6 @@ def read_mcap(path: Path, *, raw: bool = False) -> Recording:
         damage=damage + topics.damage(),
         being_written=being_written,
     )
-
-
-def _is_held(path: Path) -> bool:
-    with contextlib.suppress(OSError):
-        return is_held(path)
-    return False
 
 
 class ForeignMcapError(RecordingError):
@@ -163,12 +160,10 @@ class _Topics:
                 return
         if not ours.isdisjoint(topics):
             return
-        shown = ", ".join(topics[:_NAMED_TOPICS]) or "none"
-        more = f" and {len(topics) - _NAMED_TOPICS} more" if len(topics) > _NAMED_TOPICS else ""
         raise ForeignMcapError(
             f"{self._scan.path}: an MCAP file of another program, without {SAMPLES_TOPIC} and "
-            f"{RAW_TOPIC} (its topics: {shown}{more}); ROS bags are read, other messages as CSV"
-            " with a column map"
+            f"{RAW_TOPIC} (its topics: {some(topics, _NAMED_TOPICS) or 'none'}); ROS bags are"
+            " read, other messages as CSV with a column map"
         )
 
     def damage(self) -> list[str]:
@@ -282,6 +277,9 @@ class _SampleColumns:
 class _RawColumns:
     """Packets as received, growing in place."""
 
+    def __init__(self) -> None:
+        self._times, self._packets = bytearray(), bytearray()
+
     def __len__(self) -> int:
         return len(self._times) // 8
 
@@ -290,10 +288,6 @@ class _RawColumns:
         batch = self.batch()
         self._times, self._packets = bytearray(), bytearray()
         return batch
-
-    def __init__(self) -> None:
-        self._times = bytearray()
-        self._packets = bytearray()
 
     def sink(self, definition: Definition) -> Sink:
         """What takes messages of ``definition``."""

@@ -38,8 +38,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from groundstation.documents import open_regular
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.paths import taken
-from groundstation.recording.mcap_file import CHANNELS_METADATA, CHECKSUM_KEY, McapFile
+from groundstation.paths import reading, taken, writing
+from groundstation.recording.mcap_file import CHANNELS_METADATA, CHECKSUM_KEY, TOTALS, McapFile
 from groundstation.recording.mcap_schemas import TOPICS, metadata_checksum, usual_topic
 
 # A file of any size read through one buffer.
@@ -102,10 +102,8 @@ class FileWindow:
             self._fd = -1
 
     def _read(self, offset: int, length: int) -> bytes:
-        try:
+        with reading(self._path):
             return os.pread(self._fd, length, offset)
-        except OSError as error:
-            raise RecordingError(f"{self._path}: cannot be read: {error.strerror}") from error
 
 
 # MCAP records taken apart strictly: no field reaches beyond its record, none is left over.
@@ -163,19 +161,26 @@ class Contents:
             yield channel_id, log_ns, publish_ns, self.content[at + _MESSAGE.size : at + length]
 
 
+def records(content: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
+    """Opcode, offset and length of each record's body. Raises ValueError."""
+    at, total = 0, len(content)
+    while at < total:
+        if at + RECORD.size > total:
+            raise ValueError("a chunk ends inside a record")
+        opcode, length = RECORD.unpack_from(content, at)
+        at += RECORD.size
+        if at + length > total:
+            raise ValueError("a chunk ends inside a record")
+        yield opcode, at, length
+        at += length
+
+
 def parse_contents(content: bytes) -> Contents:
     """Messages and definitions in a chunk or a summary. Raises ValueError."""
     view = memoryview(content)
     found = Contents(view)
     first_ns, last_ns = 1 << 64, 0
-    at, total = 0, len(view)
-    while at < total:
-        if at + RECORD.size > total:
-            raise ValueError("a chunk ends inside a record")
-        opcode, length = RECORD.unpack_from(view, at)
-        at += RECORD.size
-        if at + length > total:
-            raise ValueError("a chunk ends inside a record")
+    for opcode, at, length in records(view):
         if opcode == Opcode.MESSAGE:
             if length < _MESSAGE.size:
                 raise ValueError("a message is shorter than its header")
@@ -186,7 +191,6 @@ def parse_contents(content: bytes) -> Contents:
             found.schemas.append(parsed(Schema, view[at : at + length]))
         elif opcode == Opcode.CHANNEL:
             found.channels.append(parsed(Channel, view[at : at + length]))
-        at += length
     if found.places:
         found.first_ns, found.last_ns = first_ns, last_ns
     return found
@@ -580,9 +584,6 @@ class McapScan:
 # What a folder of recordings holds, from the ends of its files: fast, and always true.
 
 
-TOTALS = "totals"
-"""Metadata record that a finished recording ends with."""
-
 _SUMMARY_MOST = 1 << 26
 _LAST_NS = 1 << 62
 """Unix time of the year 2116."""
@@ -727,14 +728,7 @@ def _read(file: BinaryIO, offset: int, length: int) -> bytes:
 
 def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
     """Kind and body of each record. Raises ValueError."""
-    at = 0
-    while at < len(content):
-        if at + RECORD.size > len(content):
-            raise ValueError("ends inside a record")
-        kind, length = RECORD.unpack_from(content, at)
-        at += RECORD.size
-        yield kind, content[at : at + length]
-        at += length
+    return ((kind, content[at : at + length]) for kind, at, length in records(content))
 
 
 def _number(items: dict[str, str], key: str) -> int | None:
@@ -796,16 +790,15 @@ def recover(path: Path, output: Path | None = None) -> RecoveryReport:
         raise BadInputError(taken(output))
     file = McapFile(output, profile=profile)
     try:
-        with McapScan(path) as scan:
-            _copy(scan, file)
-        file.add_metadata(_free_name(scan), _summary(report))
-        file.finish()
-    except BaseException as error:
+        with writing(output):
+            with McapScan(path) as scan:
+                _copy(scan, file)
+            file.add_metadata(_free_name(scan), _summary(report))
+            file.finish()
+    except BaseException:
         file.abandon()
         with contextlib.suppress(OSError):
             output.unlink()
-        if isinstance(error, OSError):
-            raise RecordingError(f"{output}: cannot be written: {error.strerror}") from error
         raise
     return replace(report, output=output)
 

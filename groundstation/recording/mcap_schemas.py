@@ -34,16 +34,8 @@ HEADER = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian."""
 
 _TYPES = {
-    "int8": "<i1",
-    "uint8": "<u1",
-    "int16": "<i2",
-    "uint16": "<u2",
-    "int32": "<i4",
-    "uint32": "<u4",
-    "int64": "<i8",
-    "uint64": "<u8",
-    "float32": "<f4",
-    "float64": "<f8",
+    **{"int8": "<i1", "uint8": "<u1", "int16": "<i2", "uint16": "<u2", "int32": "<i4"},
+    **{"uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float32": "<f4", "float64": "<f8"},
 }
 _LENGTH = struct.Struct("<I")
 
@@ -159,20 +151,10 @@ HEADER_DEFINITION = f"""\
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
-"""
-TIME_DEFINITION = f"""\
 {SEPARATOR}
 MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
-"""
-QUATERNION_DEFINITION = f"""\
-{SEPARATOR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
 """
 IMU_DEFINITION = f"""\
 std_msgs/Header header
@@ -182,12 +164,18 @@ geometry_msgs/Vector3 angular_velocity
 float64[9] angular_velocity_covariance
 geometry_msgs/Vector3 linear_acceleration
 float64[9] linear_acceleration_covariance
-{QUATERNION_DEFINITION}{SEPARATOR}
+{SEPARATOR}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+{SEPARATOR}
 MSG: geometry_msgs/Vector3
 float64 x
 float64 y
 float64 z
-{HEADER_DEFINITION}{TIME_DEFINITION}"""
+{HEADER_DEFINITION}"""
 BATTERY_DEFINITION = f"""\
 uint8 POWER_SUPPLY_STATUS_UNKNOWN=0
 uint8 POWER_SUPPLY_HEALTH_UNKNOWN=0
@@ -208,7 +196,7 @@ float32[] cell_voltage
 float32[] cell_temperature
 string location
 string serial_number
-{HEADER_DEFINITION}{TIME_DEFINITION}"""
+{HEADER_DEFINITION}"""
 
 _FRAME = b"base_link\0"
 _LIPO = 3
@@ -389,7 +377,7 @@ float32 roll_deg         # left side up positive
 float32 pitch_deg        # nose down positive
 float32 yaw_deg          # counter-clockwise positive
 uint8 copies             # agreeing copies of the packet
-{HEADER_DEFINITION}{TIME_DEFINITION}"""
+{HEADER_DEFINITION}"""
 STRING_DEFINITION = "string data\n"
 
 _ROW = layout(
@@ -479,17 +467,9 @@ float32[] duty_step           # [n * 4] second less first setting in a row's dut
 """)
 
 SAMPLE_FIELDS: dict[str, tuple[str, int]] = {
-    "ticks": ("ticks", 1),
-    "host_time_ns": ("host_time_ns", 1),
-    "segment": ("segment", 1),
-    "copies": ("copies", 1),
-    "battery_v": ("battery_v", 1),
-    "duty": ("duty", 4),
-    "gyro": ("gyro_rad_s", 3),
-    "accelerometer": ("accelerometer_m_s2", 3),
-    "attitude": ("attitude_rad", 3),
-    "rotor_rev_s": ("rotor_rev_s", 4),
-    "debug": ("debug", 1),
+    **{name: (name, 1) for name in ("ticks", "host_time_ns", "segment", "copies", "battery_v")},
+    **{"duty": ("duty", 4), "gyro": ("gyro_rad_s", 3), "accelerometer": ("accelerometer_m_s2", 3)},
+    **{"attitude": ("attitude_rad", 3), "rotor_rev_s": ("rotor_rev_s", 4), "debug": ("debug", 1)},
     "duty_step": ("duty_step", 4),
 }
 """Column of a ``SampleBatch`` -> field of the definition and numbers per row."""
@@ -578,15 +558,10 @@ def usual_topic(channel_id: int, payload: bytes | memoryview) -> Topic | None:
         if name in ENTRY_TOPICS:
             decode_entry(payload)
             return (TOPICS if bytes(payload[:1]) == b"{" else ROS2_TOPICS)[name]
-        if name == RAW_TOPIC:
-            RAW_DEFINITION.decode(payload)
-            return TOPICS[name]
-        if name == SAMPLES_TOPIC:
-            SAMPLES_DEFINITION.decode(payload)
-            return TOPICS[name]
-    except ValueError:
+        {RAW_TOPIC: RAW_DEFINITION, SAMPLES_TOPIC: SAMPLES_DEFINITION}[name].decode(payload)
+    except (ValueError, KeyError):  # or of the standard types, which are made of the samples
         return None
-    return None  # of the standard types, which are made of the samples
+    return TOPICS[name]
 
 
 def encode_raw(batch: RawBatch) -> bytes:

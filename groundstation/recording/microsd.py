@@ -20,14 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.column_map import (
-    NOTES_METADATA,
-    ROWS_METADATA,
-    UNCLEAR_METADATA,
-    in_order,
-    mapped_columns,
-)
+from groundstation.errors import BadInputError
+from groundstation.paths import reading
+from groundstation.recording.column_map import in_order, read_mapped
+from groundstation.recording.delimited import ColumnTable
 from groundstation.recording.motor_columns import (
     COMMANDS,
     DIFFERS,
@@ -39,6 +35,7 @@ from groundstation.recording.motor_columns import (
 from groundstation.recording.session import (
     SYNTHESISED,
     TODAY,
+    Findings,
     Recording,
     Table,
     host_time_from_ticks,
@@ -234,33 +231,12 @@ _VARIABLE = re.compile(r"(.+)\((.)\)")
 
 
 @dataclass(frozen=True, slots=True)
-class _Event:
-    name: str
-    dtype: np.dtype[np.void]
-    """Fields ``#id``, ``#time``, then the variables."""
+class _Header:
+    """events: id -> name, and the fields ``#id``, ``#time`` and the variables of its records."""
 
-    @property
-    def variables(self) -> tuple[str, ...]:
-        return (self.dtype.names or ())[2:]
-
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
     version: int
-    events: dict[int, _Event]
+    events: dict[int, tuple[str, np.dtype[np.void]]]
     first_record: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Content:
-    """tables: every event. columns, time_us: of the fixed-frequency one, in order. damage: in
-    words."""
-
-    version: int
-    tables: dict[str, Table]
-    columns: dict[str, NDArray[Any]]
-    time_us: NDArray[np.int64]
-    damage: list[str]
 
 
 def read_microsd(path: Path, source: str | Path | None = None) -> Recording:
@@ -269,73 +245,31 @@ def read_microsd(path: Path, source: str | Path | None = None) -> Recording:
     source: a column map, whose columns are the variables of that event and ``time``, us; None: the
     firmware's names are known.
 
-    Table columns keep the file's names and types; samples follow the design's units and
-    signs (see ``microsd_channels``); the gyro's unit and its reason are in
-    ``metadata["microsd"]``. Host stamps are made from device time.
-
-    A checksum that does not match, a torn end or bytes that are no record are lines of
-    ``damage``; everything that still reads is there.
+    Table columns keep the file's names and types; the gyro's unit and its reason are in
+    ``metadata["microsd"]``. Host stamps are made from device time. A checksum that does not match,
+    a torn end or bytes that are no record are lines of ``damage``; everything that still reads is
+    there.
 
     Raises RecordingError where the file cannot be opened, BadInputError where it is not a
-    microSD log or its header does not read, or as ``read_mapped_csv`` for the map.
+    microSD log or its header does not read, or as ``read_mapped`` for the map.
     """
-    found = _content(path)
-    columns, damage = found.columns, found.damage
-    if source is not None:
-        given = {"time": found.time_us, **columns}
-        recording = mapped_columns(
-            path, list(given), lambda name: given[name].astype(np.float64), source, damage=damage
-        )
-        return replace(recording, kind="microsd", tables={**found.tables, **recording.tables})
-    samples, notes = samples_from_columns(columns, found.time_us, TICK_S, None)
-    samples, order = in_order(samples)
-    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, TICK_S, samples.segment)
-    settled, unclear = _settled(samples, columns)
-    return Recording(
-        path=path,
-        kind="microsd",
-        samples=samples,
-        tables=found.tables,
-        metadata={
-            **(
-                {NOTES_METADATA: {str(k): one for k, one in enumerate(settled, 1)}}
-                if settled
-                else {}
-            ),
-            **({UNCLEAR_METADATA: {"duty": unclear}} if unclear else {}),
-            "host_time": dict(SYNTHESISED),
-            "vehicle": {"family": TODAY, "because": "no 1.0 carries a microSD deck"},
-            "microsd": {"version": str(found.version), **notes},
-            **({ROWS_METADATA: order.notes} if order.notes else {}),
-        },
-        damage=damage,
-    )
-
-
-def _content(path: Path) -> _Content:
-    """What a log has, damaged or not. Raises as ``read_microsd``."""
-    try:
+    with reading(path):
         data = path.read_bytes()
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    layout = _read_header(data, path)
+    header = _read_header(data, path)
+    unit_us = _TIMESTAMPS[header.version][1]
     sound = zlib.crc32(memoryview(data)[:-CRC_BYTES]) == int.from_bytes(data[-CRC_BYTES:], "little")
-    offsets, damage = (scan if sound else scan_damaged)(
-        data,
-        layout.first_record,
-        {number: event.dtype for number, event in layout.events.items()},
-        _TIMESTAMPS[layout.version][1],
-    )
+    dtypes = {number: dtype for number, (_, dtype) in header.events.items()}
+    offsets, damage = (scan if sound else scan_damaged)(data, header.first_record, dtypes, unit_us)
     tables: dict[str, Table] = {}
     columns, time_us = {}, np.empty(0, np.int64)
-    for number, event in layout.events.items():
-        records = _gather(data, offsets[number], event.dtype)
-        ticks = records["#time"].astype(np.int64) * _TIMESTAMPS[layout.version][1]
-        values = {name: records[name] for name in event.variables}
-        tables[event.name] = Table(ticks.astype(np.float64) * TICK_S, values)
+    for number, (name, dtype) in header.events.items():
+        records = _gather(data, offsets[number], dtype)
+        ticks = records["#time"].astype(np.int64) * unit_us
+        values = {variable: records[variable] for variable in (dtype.names or ())[2:]}
+        tables[name] = Table(ticks.astype(np.float64) * TICK_S, values)
         if number == FIXED_FREQUENCY_ID:
             columns, time_us = values, ticks
-    if FIXED_FREQUENCY_ID not in layout.events:
+    if FIXED_FREQUENCY_ID not in header.events:
         damage.append("no fixed-frequency event: there are tables but no samples")
     usable = (time_us >= 0) & (time_us < MAX_TIME_US)
     if not sound:
@@ -344,30 +278,55 @@ def _content(path: Path) -> _Content:
         damage.append(f"{(~usable).sum()} samples with an impossible time were left out")
         columns = {name: values[usable] for name, values in columns.items()}
         time_us = time_us[usable]
-    return _Content(layout.version, tables, columns, time_us, damage)
+    if source is not None:
+        given = {"time": time_us, **columns}
+        table = ColumnTable(
+            path, list(given), lambda name: given[name].astype(np.float64), damage=damage
+        )
+        recording = read_mapped(table, source)
+        return replace(recording, kind="microsd", tables={**tables, **recording.tables})
+    samples, notes = samples_from_columns(columns, time_us, TICK_S, None)
+    samples, order = in_order(samples)
+    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, TICK_S, samples.segment)
+    found = Findings(damage)
+    _settle(samples, {name: order.of(values) for name, values in columns.items()}, found)
+    return Recording(
+        path=path,
+        kind="microsd",
+        samples=samples,
+        tables=tables,
+        metadata={
+            **found.metadata(order.notes),
+            "host_time": dict(SYNTHESISED),
+            "vehicle": {"family": TODAY, "because": "no 1.0 carries a microSD deck"},
+            "microsd": {"version": str(header.version), **notes},
+        },
+        damage=damage,
+    )
 
 
-def _settled(samples: SampleBatch, columns: Mapping[str, NDArray[Any]]) -> tuple[list[str], str]:
-    """Make the motors' column the duty where it is a thrust command: notes, and what stays open,
-    either empty."""
+def _settle(samples: SampleBatch, columns: Mapping[str, NDArray[Any]], found: Findings) -> None:
+    """Make the motors' column the duty where it is a thrust command."""
     motors = motor_columns_of(columns)
     if motors.crowd:
-        return [], motors.crowd
-    notes = [motors.note] if motors.note else []
+        found.unclear["duty"] = motors.crowd
+        return
+    if motors.note:
+        found.notes.append(motors.note)
     if motors.are_commands:
-        note, open_ = settle_duty(samples)
-        return [*notes, note] if note else notes, open_
+        settle_duty(samples, found)
+        return
     for m, name in enumerate(COMMANDS):
         command = columns.get(name)
-        if command is None or len(command) != len(samples):
+        if command is None:
             continue
         full = 255.0 if command.dtype.itemsize == 1 else FULL_16_BIT
         if differs(command.astype(np.float64) / full, samples.duty[:, m].astype(np.float64)):
-            return [*notes, DIFFERS], ""
-    return notes, ""
+            found.notes.append(DIFFERS)
+            return
 
 
-def _read_header(data: bytes, path: Path) -> _Layout:
+def _read_header(data: bytes, path: Path) -> _Header:
     if not data:
         raise BadInputError(f"{path}: the file is empty")
     if data[0] != MAGIC:
@@ -376,7 +335,7 @@ def _read_header(data: bytes, path: Path) -> _Layout:
         version, count = struct.unpack_from("<HH", data, 1)
         if version not in _TIMESTAMPS:
             raise BadInputError(f"{path}: microSD log version {version}; 1 and 2 can be read")
-        events: dict[int, _Event] = {}
+        events: dict[int, tuple[str, np.dtype[np.void]]] = {}
         position = 5
         for _ in range(count):
             (number,) = struct.unpack_from("<H", data, position)
@@ -390,17 +349,15 @@ def _read_header(data: bytes, path: Path) -> _Layout:
                 if match is None or match[2] not in _LETTERS:
                     raise ValueError(f"the variable {variable} has no known type")
                 fields.append((match[1], _LETTERS[match[2]]))
-            if number in events or any(event.name == name for event in events.values()):
+            if number in events or any(known == name for known, _ in events.values()):
                 raise ValueError(f"the event {name!r} is there twice")
-            events[number] = _Event(name, np.dtype(fields))
-    except struct.error as error:
-        why = "it ends too early"
+            events[number] = name, np.dtype(fields)
+    except BadInputError:
+        raise
+    except (struct.error, ValueError) as error:
+        why = "it ends too early" if isinstance(error, struct.error) else error
         raise BadInputError(f"{path}: the header of the microSD log is damaged: {why}") from error
-    except ValueError as error:
-        if isinstance(error, BadInputError):
-            raise
-        raise BadInputError(f"{path}: the header of the microSD log is damaged: {error}") from error
-    return _Layout(version, events, position)
+    return _Header(version, events, position)
 
 
 def _text(data: bytes, position: int) -> tuple[str, int]:

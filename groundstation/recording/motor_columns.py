@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import attitude_of_quaternion, body_rates
+from groundstation.recording.session import Findings
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import FULL_16_BIT, STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch, empty_samples
@@ -312,19 +313,17 @@ def duty_of_command(command: Array, battery_v: Array) -> Array:
         return np.clip(volts / battery_v[:, None], 0.0, 1.0)
 
 
-def settle_duty(samples: SampleBatch) -> tuple[str, str]:
-    """Decide of samples that have ``motor.m1..m4`` in the duty's place, and make it the duty: a
-    note, and what stays open, either empty."""
+def settle_duty(samples: SampleBatch, found: Findings) -> None:
+    """Decide of samples that have ``motor.m1..m4`` in the duty's place, and make it the duty."""
     if not np.isfinite(samples.duty).any():
-        return "", ""
+        return
     said = told_by_flight(samples)
     if said == "command":
-        duty = duty_of_command(
-            samples.duty.astype(np.float64), samples.battery_v.astype(np.float64)
-        )
-        samples.duty[:] = duty
-        return MADE, ""
-    return "", "" if said == "duty" else NOT_KNOWN
+        command, battery_v = samples.duty.astype(np.float64), samples.battery_v.astype(np.float64)
+        samples.duty[:] = duty_of_command(command, battery_v)
+        found.notes.append(MADE)
+    elif said != "duty":
+        found.unclear.setdefault("duty", NOT_KNOWN)
 
 
 def differs(command: Array, duty: Array) -> bool:

@@ -28,8 +28,7 @@ _UNREADABLE = (
     zlib.error,
     EOFError,
     ValueError,
-    NotImplementedError,
-    RuntimeError,
+    RuntimeError,  # also what is not implemented
     MemoryError,
     SyntaxError,
     struct.error,

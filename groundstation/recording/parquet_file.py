@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,27 +14,27 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
-from groundstation.recording.column_map import LOOKED_AT, mapped_columns
+from groundstation.recording.column_map import LOOKED_AT, read_mapped
 from groundstation.recording.delimited import (
     CELLS,
     DAY_S,
     FRACTION,
     UNNAMED_TIME,
+    ColumnTable,
+    Said,
     base_name,
     begins_anew,
     fractions_of,
     seconds_of,
     unwrapped,
 )
-from groundstation.recording.map_plan import Said
 from groundstation.recording.session import EVERY_ROW, Recording, Rows
+from groundstation.text import NAMED_MOST
 
 _WHOSE = ("string", "large_string", "dictionary", "int", "uint", "bool", "float", "double", "half")
 """Types whose cells are shown as text."""
 _NO_NAME = "__index_level_"
 """What pandas calls an index that has no name."""
-SHOWN = 12
-"""Columns that an error names."""
 ROW_GROUP = 1 << 16
 """Rows that are read at once: two minutes of flight."""
 
@@ -69,6 +71,20 @@ def write_parquet(recording: Recording, path: str | Path) -> None:
         raise RecordingError(f"{path}: cannot be written: {error}") from error
 
 
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """A block that reads a Parquet file. Raises RecordingError where the file is damaged."""
+    from pyarrow import ArrowException
+    from pyarrow.parquet import ParquetFile
+
+    try:
+        yield ParquetFile(path)
+    except (OSError, ArrowException, UnicodeDecodeError) as error:
+        raise RecordingError(
+            f"{path}: a Parquet table that is damaged or was not finished; copy or write it again"
+        ) from error
+
+
 def read_parquet(path: Path, source: str | Path | None = None, rows: Rows = EVERY_ROW) -> Recording:
     """Read a table of another program by a column map (None: the named one that knows its columns).
 
@@ -76,37 +92,21 @@ def read_parquet(path: Path, source: str | Path | None = None, rows: Rows = EVER
     where the file does not read, or was written here: the packets, and what came between the rows,
     are not in it.
     """
-    from pyarrow import ArrowException
-    from pyarrow.parquet import ParquetFile
-
-    try:
-        file = ParquetFile(path)
-        schema = file.schema_arrow
-        if any(key.startswith(b"groundstation.") for key in schema.metadata or {}):
+    with opened(path) as file:
+        if any(key.startswith(b"groundstation.") for key in file.schema_arrow.metadata or {}):
             raise RecordingError(
                 f"{path}: a Parquet table of ours is written for other programs and not read back;"
                 " give the recording that it was made of"
             )
-        return _mapped(path, file, source, rows)
-    except (OSError, ArrowException, UnicodeDecodeError) as error:
-        raise RecordingError(
-            f"{path}: a Parquet table that is damaged or was not finished; copy or write it again"
-        ) from error
-
-
-def _mapped(path: Path, file: Any, source: str | Path | None, rows: Rows) -> Recording:
-    table, units = with_times(file.read())
-    units |= {base_name(name)[0]: unit for name, unit in units.items()}
-    table = _of_one_craft(path, table, rows)
-    recording = mapped_columns(
-        path,
-        list(table.column_names),
-        partial(numbers_of, path, table),
-        source,
-        Said(dict(base_name(name) for name in table.column_names) | units),
-        rows=rows,
-        texts=partial(_texts, table),
-    )
+        table, units = with_times(file.read())
+        units |= {base_name(name)[0]: unit for name, unit in units.items()}
+        table = _of_one_craft(path, table, rows)
+        names = list(table.column_names)
+        said = Said(dict(base_name(name) for name in names) | units)
+        columns = ColumnTable(
+            path, names, partial(numbers_of, path, table), said, partial(_texts, table)
+        )
+        recording = read_mapped(columns, source, rows)
     recording.kind = "parquet"
     return recording
 
@@ -187,13 +187,13 @@ def _of_one_craft(path: Path, table: Any, rows: Rows) -> Any:
     """The rows that are asked for. Raises BadInputError where there are none."""
     if rows.only is None:
         return table
-    names = list(table.column_names)
     name, value = rows.only
-    if name not in names:
+    if name not in table.column_names:
         raise BadInputError(f"{path}: --only {name}={value}: there is no column {name!r}")
-    kept = [_same(one, value) for one in table.column(name).to_pylist()]
+    cells = table.column(name).to_pylist()
+    kept = [_same(one, value) for one in cells]
     if not any(kept):
-        listed = ", ".join(list(dict.fromkeys(map(str, table.column(name).to_pylist())))[:SHOWN])
+        listed = ", ".join(list(dict.fromkeys(map(str, cells)))[:NAMED_MOST])
         raise BadInputError(f"{path}: --only {name}={value}: the column has {listed}")
     return table.filter(kept)
 

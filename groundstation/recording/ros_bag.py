@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError, install
-from groundstation.recording.column_map import PARTS_SHOWN as SHOWN
 from groundstation.recording.column_map import TOPIC, read_mapped_series, under
 from groundstation.recording.mcap_reader import ForeignMcapError, read_mcap
 from groundstation.recording.mcap_scan import looks_like_mcap
-from groundstation.recording.session import EVERY_ROW, Recording, Rows, Series
+from groundstation.recording.session import EVERY_ROW, Findings, Log, Recording, Rows, Series
+from groundstation.text import NAMED_MOST
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -65,20 +65,20 @@ def read_bag(path: Path, source: str | Path | None = None, rows: Rows = EVERY_RO
 
     Raises BadInputError where no map fits or there is no such topic, and as ``series_of_bag``.
     """
-    series, unread = series_of_bag(path)
+    log = series_of_bag(path)
     if rows:
         column, topic = rows.only or ("", "")
         if column != TOPIC or rows.rate_hz:
             raise BadInputError(f"{path}: of a bag, --only {TOPIC}=/NAME takes the topics of one")
-        chosen = under(series, topic)
-        if len(chosen) == len(series):
-            names = ", ".join(one.name for one in series[:SHOWN])
+        chosen = under(log.series, topic)
+        if len(chosen) == len(log.series):
+            names = ", ".join(one.name for one in log.series[:NAMED_MOST])
             raise BadInputError(f"{path}: --only {TOPIC}={topic}: that chooses none of {names}")
-        series = chosen
-    return read_mapped_series(path, "rosbag", series, source, unread=unread)
+        log = replace(log, series=chosen)
+    return read_mapped_series(path, "rosbag", log, source)
 
 
-def series_of_bag(path: Path) -> tuple[list[Series], list[str]]:
+def series_of_bag(path: Path) -> Log:
     """Every topic whose messages read, and the types of those that do not.
 
     Raises BadInputError where rosbags is not installed or an MCAP file is no bag, RecordingError
@@ -89,9 +89,10 @@ def series_of_bag(path: Path) -> tuple[list[Series], list[str]]:
         from rosbags.rosbag2 import Reader
     except ImportError as error:
         raise BadInputError(f"{path}: a ROS bag, which rosbags reads: {install('logs')}") from error
-    if _is_another_mcap(path):
+    head = _head(path)
+    if looks_like_mcap(head) and not head.endswith(_PROFILE):
         raise BadInputError(f"{path}: an MCAP file that is no ROS bag, so it takes no column map")
-    reader = Reader1 if _is_ros1(path) else Reader
+    reader = Reader1 if head.startswith(ROS1_MAGIC) else Reader
     try:
         with reader(path) as bag:
             return _series(bag, ros1=reader is Reader1)
@@ -109,17 +110,15 @@ def _why(error: Exception) -> str:
     return said.partition(": (")[0].partition("\n")[0][:MOST_WORDS]
 
 
-def read_recovered(path: Path, *, raw: bool = False) -> Recording:
-    """Read an MCAP file: a recording, or a bag of another program that was recovered here.
-
-    Raises as ``read_mcap``, and as ``read_bag`` for a bag.
-    """
+def read_recovered(path: Path, source: str | Path | None = None, *, raw: bool = False) -> Recording:
+    """Read an MCAP file: a recording, or a bag of another program that was recovered here, as it
+    is where a column map is given. Raises as ``read_mcap``, and as ``read_bag`` for a bag."""
+    if source is not None:
+        return read_bag(path, source)
     try:
         return read_mcap(path, raw=raw)
     except ForeignMcapError as foreign:
-        with path.open("rb") as file:
-            head = file.read(_PROFILE_AT + len(_PROFILE))
-        if not head.endswith(_PROFILE):
+        if not _head(path).endswith(_PROFILE):
             raise
         try:
             return read_bag(path)
@@ -127,19 +126,12 @@ def read_recovered(path: Path, *, raw: bool = False) -> Recording:
             raise foreign from error
 
 
-def _is_another_mcap(path: Path) -> bool:
+def _head(path: Path) -> bytes:
+    """A file's first bytes, to the end of MCAP's profile of ROS 2; of a folder none."""
     if not path.is_file():
-        return False
+        return b""
     with path.open("rb") as file:
-        head = file.read(_PROFILE_AT + len(_PROFILE))
-    return looks_like_mcap(head) and not head.endswith(_PROFILE)
-
-
-def _is_ros1(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(ROS1_MAGIC)) == ROS1_MAGIC
+        return file.read(_PROFILE_AT + len(_PROFILE))
 
 
 @dataclass(slots=True)
@@ -154,7 +146,7 @@ class _Topic:
         return {name: np.array([row.get(name, np.nan) for row in self.rows]) for name in names}
 
 
-def _series(bag: Any, ros1: bool) -> tuple[list[Series], list[str]]:
+def _series(bag: Any, ros1: bool) -> Log:
     """Every topic whose messages read, and the types of those that do not."""
     types, unread = _types(bag, ros1)
     read = types.deserialize_ros1 if ros1 else types.deserialize_cdr
@@ -184,7 +176,7 @@ def _series(bag: Any, ros1: bool) -> tuple[list[Series], list[str]]:
         given = {key: values[order] for key, values in columns[name].items()}
         given["time"] = ((clock[order] - first_ns) * 1e-9).astype(np.float64)
         series.append(Series(name, clock[order], given, topic.type))
-    return series, unread
+    return Log(series, Findings(), unread)
 
 
 def _set_by_craft(

@@ -52,11 +52,7 @@ def _write(recording: Recording, path: Path) -> None:
     for name, table in recording.tables.items():
         for column, values in table.columns.items():
             if values.ndim == 1 and values.dtype.kind in "fiub":
-                send_series(
-                    stream,
-                    rr.new_entity_path([TABLES, name, column]),
-                    table.time_s,
-                    values.astype(float),
-                )
+                entity = rr.new_entity_path([TABLES, name, column])
+                send_series(stream, entity, table.time_s, values.astype(float))
     stream.flush()
     stream.disconnect()

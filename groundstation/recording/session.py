@@ -146,6 +146,47 @@ class Series:
     type: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A log of many series. unread: types of series that could not be read."""
+
+    series: Sequence[Series]
+    found: Findings
+    unread: Sequence[str] = ()
+
+
+# What a reader finds besides rows, and under which names it is in a recording's metadata.
+
+
+UNCLEAR_METADATA = "unclear"
+"""Metadata record of what a file leaves open, field -> words."""
+NO_CHANNEL = "channels"
+"""Its field that says which columns there are instead, where none is of a channel."""
+NOTES_METADATA = "notes"
+"""Metadata record of what was found while reading and settled."""
+ROWS_METADATA = "rows"
+"""Metadata record of what became of a file's rows: ``RowOrder.notes``."""
+
+
+@dataclass(slots=True)
+class Findings:
+    """damage: a line for each thing that could not be read. notes: what was settled. unclear: field
+    -> what is left open."""
+
+    damage: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    unclear: dict[str, str] = field(default_factory=dict)
+
+    def metadata(self, rows: dict[str, str]) -> dict[str, dict[str, str]]:
+        """The records that are not empty. rows: ``RowOrder.notes``."""
+        records = {
+            NOTES_METADATA: {str(k): note for k, note in enumerate(self.notes, 1)},
+            UNCLEAR_METADATA: self.unclear,
+            ROWS_METADATA: rows,
+        }
+        return {name: record for name, record in records.items() if record}
+
+
 # Which rows of a table are read, and how far apart they are.
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInputError, RecordingError, install
 from groundstation.recording.column_map import read_mapped_series
 from groundstation.recording.motor_columns import MOVES, changes, too_many
-from groundstation.recording.session import Recording, Series
+from groundstation.recording.session import Findings, Log, Recording, Series
 from groundstation.telemetry.arrays import Array
 
 # Which of a PX4 driver's outputs are motors 1 to 4, and what stands for none and full duty.
@@ -326,16 +326,6 @@ HEADER_BYTES = 3
 """Of a message."""
 
 
-@dataclass(frozen=True, slots=True)
-class ULogContent:
-    """damage: in words. notes, unclear: what was settled of the motors, and left open by field."""
-
-    series: Sequence[Series]
-    damage: Sequence[str]
-    notes: Sequence[str]
-    unclear: Mapping[str, str]
-
-
 class _OnlyForward(io.BufferedReader):
     """A file for pyulog, which steps back from the end of a message: where the file ends within it,
     to before its beginning, and again for ever."""
@@ -361,20 +351,11 @@ def read_ulog(path: Path, source: str | Path | None = None) -> Recording:
 
     Raises BadInputError where no map fits, and as ``content_of``.
     """
-    found = content_of(path)
-    return read_mapped_series(
-        path,
-        "ulog",
-        found.series,
-        source,
-        found.damage,
-        notes=found.notes,
-        unclear=found.unclear,
-    )
+    return read_mapped_series(path, "ulog", content_of(path), source)
 
 
 @np.errstate(invalid="ignore")  # damage may leave a NaN that numpy signals when it is converted
-def content_of(path: Path) -> ULogContent:
+def content_of(path: Path) -> Log:
     """Every topic, and a quadrotor's motors.
 
     Raises BadInputError where pyulog is not installed, RecordingError where the file does not read.
@@ -423,7 +404,7 @@ def content_of(path: Path) -> ULogContent:
     motors = motors_of(series, parameters)
     series += [motors.series] if motors.series is not None else []
     unclear = {"duty": motors.open} if motors.open else {}
-    return ULogContent(series, damage, motors.notes, unclear)
+    return Log(series, Findings(damage, list(motors.notes), unclear))
 
 
 def _dropped(durations_ms: list[int]) -> list[str]:

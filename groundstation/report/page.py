@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from groundstation import __version__
 from groundstation.errors import BadInputError
-from groundstation.paths import taken
+from groundstation.paths import write_new
 from groundstation.text import counted, printable
 
 if TYPE_CHECKING:
@@ -444,13 +444,7 @@ class Page:
 
         Raises BadInputError where it exists already or cannot be written.
         """
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(self.html())
-        except FileExistsError as error:
-            raise BadInputError(taken(path)) from error
-        except OSError as error:
-            raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
+        write_new(path, self.html())
 
 
 def fragment(page: Page) -> str:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
+import shlex
+import shutil
+import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,9 +18,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInputError, RecordingError
+from groundstation.errors import BadInputError, GroundStationError, RecordingError, install
 from groundstation.paths import taken
-from groundstation.rerun_log.installed import require_rerun
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S, STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
 
@@ -24,12 +27,14 @@ from groundstation.telemetry.samples import SampleBatch
 #
 # People get degrees, deg/s, g, per cent, volts and rpm.
 #
-# | entity | values | |---|---| | /craft | orientation of the craft: body FLU in the world ENU | |
-# /telemetry/attitude, rates, accelerometer, motors, battery, rotors | see ``GROUPS`` | |
-# /link/NAME | link statistics: those of ``STATISTICS`` | | /events, /commands | what happened and
-# what was commanded, as text | | /tables/NAME/VARIABLE | what a craft logs besides its telemetry,
-# further tables of a file | | /twin/rates, attitude, accelerometer, gap | live only: measured
-# beside predicted (``twin_log``) |
+# | entity | values |
+# |---|---|
+# | /craft | orientation of the craft: body FLU in the world ENU |
+# | /telemetry/... | ``GROUPS`` |
+# | /link/NAME | ``STATISTICS`` of the link |
+# | /events, /commands | what happened and what was commanded, as text |
+# | /tables/NAME/VARIABLE | what a craft logs besides its telemetry, further tables of a file |
+# | /twin/rates, attitude, accelerometer, gap | live only: measured beside predicted |
 #
 # Timelines: ``device_time`` (duration) and ``host_time`` (Unix).
 
@@ -63,38 +68,24 @@ class Group:
     colors: tuple[tuple[int, int, int], ...]
 
 
-GROUPS: tuple[Group, ...] = (
-    Group(
-        "/telemetry/attitude",
-        "attitude",
-        180 / np.pi,
-        ("roll", "pitch (nose down +)", "yaw"),
-        (ROLL, PITCH, YAW),
-    ),
-    Group(
-        "/telemetry/rates",
-        "gyro",
-        180 / np.pi,
-        ("roll rate", "pitch rate", "yaw rate"),
-        (ROLL, PITCH, YAW),
-    ),
+_AXES = (ROLL, PITCH, YAW)
+_DEG = 180 / np.pi
+_PLACES = ("M1 front", "M2 right", "M3 rear", "M4 left")
+_NUMBERS = ("M1", "M2", "M3", "M4")
+GROUPS = (
+    Group("/telemetry/attitude", "attitude", _DEG, ("roll", "pitch (nose down +)", "yaw"), _AXES),
+    Group("/telemetry/rates", "gyro", _DEG, ("roll rate", "pitch rate", "yaw rate"), _AXES),
     Group(
         "/telemetry/accelerometer",
         "accelerometer",
         1 / STANDARD_GRAVITY,
         ("forward", "left", "up"),
-        (ROLL, PITCH, YAW),
+        _AXES,
     ),
-    Group(
-        "/telemetry/motors",
-        "duty",
-        100.0,
-        ("M1 front", "M2 right", "M3 rear", "M4 left"),
-        MOTORS,
-    ),
+    Group("/telemetry/motors", "duty", 100.0, _PLACES, MOTORS),
     Group("/telemetry/battery", "battery_v", 1.0, ("battery",), ((255, 202, 40),)),
-    Group("/telemetry/rotors", "rotor_rev_s", 60.0, ("M1", "M2", "M3", "M4"), MOTORS),
-    Group("/telemetry/motor_steps", "duty_step", 100.0, ("M1", "M2", "M3", "M4"), MOTORS),
+    Group("/telemetry/rotors", "rotor_rev_s", 60.0, _NUMBERS, MOTORS),
+    Group("/telemetry/motor_steps", "duty_step", 100.0, _NUMBERS, MOTORS),
 )
 """Shown in degrees, deg/s, g, % duty, V and rpm."""
 
@@ -261,3 +252,42 @@ def _require_footer(path: Path) -> None:
 
 def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+# Whether rerun is there: an extra, for it is larger than all the rest.
+
+
+def require_rerun(what: str) -> None:
+    """Raises BadInputError, which names the extra to install, where rerun is missing.
+
+    what: what needs it, as the sentence's subject.
+    """
+    if importlib.util.find_spec("rerun") is None:
+        raise BadInputError(
+            f"{what} needs rerun, an optional part of some 500 MB: {install('viewer')}"
+        )
+
+
+def rerun_program() -> Path:
+    """The rerun executable itself (the ``rerun`` script only starts it as another child).
+
+    Raises BadInputError when rerun is not installed, GroundStationError when only its program is
+    missing.
+    """
+    require_rerun("the live view (--viewer off: everything but it)")
+    package = importlib.util.find_spec("rerun_cli")
+    folder = Path(package.origin).parent if package and package.origin else Path()
+    program = Path(os.environ.get("RERUN_CLI_PATH", folder / "rerun"))
+    if package is None or not os.access(program, os.X_OK):
+        raise GroundStationError(
+            f"the rerun program is missing ({program}): pip install --force-reinstall rerun-sdk, "
+            "or use --viewer off"
+        )
+    return program
+
+
+def rerun_command() -> str:
+    """What a user types to start it."""
+    script = Path(sys.executable).with_name("rerun")
+    on_path = shutil.which("rerun")
+    return "rerun" if on_path or not script.exists() else shlex.quote(str(script))

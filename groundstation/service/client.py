@@ -131,8 +131,10 @@ class Pilot(Client):
     Leaving lands a craft that still flies, or stops its motors where it holds no height. A process
     that dies instead leaves it to the failsafe.
 
-    content: whether what it wrote is meant to stay. Leaving does not release the craft otherwise:
-    the lease is over by its own time, and the daemon writes the former values back.
+    content: whether what it wrote is meant to stay. It is not where an exception leaves: the daemon
+    writes the former values back then.
+    wrote: whether something was written that is not put back. Where the craft cannot be given back
+    then, the daemon writes the former values back: leaving raises GroundStationError.
     """
 
     def __init__(self, path: Path, client: str, stops: int | None = None) -> None:
@@ -140,6 +142,7 @@ class Pilot(Client):
         self._client, self._stops = client, stops
         self.lease: dict[str, Any] = {}
         self.content = True
+        self.wrote = False
 
     def __enter__(self) -> Self:
         try:
@@ -151,10 +154,17 @@ class Pilot(Client):
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self.content:
-            with contextlib.suppress(GroundStationError):  # the lease may be over already
-                self.release()
-        self.close()
+        stays = self.content and error[0] is None
+        try:
+            self.release(content=stays)
+        except GroundStationError as lost:  # the lease is over, or the daemon is
+            if self.wrote and stays:
+                raise GroundStationError(
+                    f"what was written to the craft does not stay: {lost}. The daemon writes the"
+                    " former values back, once it runs and the craft stands"
+                ) from lost
+        finally:
+            self.close()
 
     def setpoint(
         self,
@@ -187,6 +197,7 @@ class Pilot(Client):
 
     def write(self, values: dict[str, float]) -> dict[str, float]:
         """Write parameters, all or none where one is refused; what the craft read back."""
+        self.wrote = True
         back: dict[str, float] = self._command("parameters", values=values)["values"]
         return back
 
@@ -230,10 +241,10 @@ class Pilot(Client):
         """Say to the people near the craft what is about to happen to it, and in how many s."""
         self._command("announce", text=text, in_s=in_s)
 
-    def release(self) -> None:
-        """Give the craft back; one that still flies is landed. Parameters that were written stay:
-        who is not content writes the former values first."""
-        self._command("release")
+    def release(self, *, content: bool = True) -> None:
+        """Give the craft back; one that still flies is landed. Parameters that were written stay,
+        or the daemon writes the former values back where the client is not content."""
+        self._command("release", content=content)
 
     def _command(self, what: str, **content: Any) -> Any:
         token = self.lease["token"]

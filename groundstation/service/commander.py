@@ -24,7 +24,14 @@ from groundstation.errors import (
     TakenError,
 )
 from groundstation.links.base import LinkState
-from groundstation.links.command import LIFE_S, LONGEST_S, CommandLink, CommandState, Supervisor
+from groundstation.links.command import (
+    LIFE_S,
+    LONGEST_S,
+    CommandLink,
+    CommandState,
+    Supervisor,
+    is_software,
+)
 from groundstation.service.config import FailsafeConfig, RateLimit
 from groundstation.service.lease import (
     BY_OPERATOR,
@@ -38,15 +45,16 @@ from groundstation.service.lease import (
     Leases,
     Motors,
     Note,
-    Stop,
     ask_to_arm,
     ask_to_recover,
-    granted,
+    identity_of,
     outcome,
-    outcome_of,
     send_level,
 )
 from groundstation.service.parameters import (
+    AGAIN_MOST_S,
+    AGAIN_S,
+    LOOKS_S,
     Changes,
     CommandConnection,
     Parameters,
@@ -55,81 +63,19 @@ from groundstation.service.parameters import (
 )
 from groundstation.service.requests import Lease as Granted
 
-# How old a request that turns motors is: one that was made too long ago is not followed.
-
-
 STOOD_S = 0.3
 """A loop that did not turn for so long stood still."""
 WAKES_S = 0.5
 """So long after that requests come in that were made before."""
-
-
-class Freshness:
-    """Of what is heard by a loop that says when it turns: what waits in sockets while a process
-    stands still has no age but the one that it brings along."""
-
-    def __init__(self) -> None:
-        self._turned_s: float | None = None
-        self._until_s = 0.0
-
-    def turn(self, now_s: float) -> None:
-        """The loop that hears requests has turned."""
-        if self._stands(now_s):
-            self._until_s = now_s + WAKES_S
-        self._turned_s = now_s
-
-    def require(self, refused: str, now_s: float, made_s: float | None = None) -> None:
-        """Raises LinkError for a request that is, or may be, too old.
-
-        refused: what then was not done. made_s: when it was made, where it says so, by the clock
-        that ``now_s`` is of."""
-        if made_s is None:
-            if self._stands(now_s) or now_s < self._until_s:
-                raise LinkError(f"the daemon stood still, and nobody knows since when: {refused}")
-        elif now_s > made_s + LIFE_S:
-            raise LinkError(f"the setpoint was made {now_s - made_s:.1f} s ago: too old to be sent")
-
-    def _stands(self, now_s: float) -> bool:
-        return self._turned_s is not None and now_s - self._turned_s > STOOD_S
-
-
-# The failsafe's clock: it does not depend on the load of the loop that it watches.
-
-
 TURN_S = STOOD_S / 3
 """Between two turns that are counted."""
 
 
-async def watch(
-    look: Callable[[float], None],
-    turn: Callable[[float], None],
-    clock: Callable[[], float],
-    every_s: Callable[[], float],
-) -> None:
-    """Call ``look`` from a thread of its own, so often as ``every_s`` says each time, and ``turn``
-    from this loop, each with the time. Raises what ``look`` does."""
-    ended = threading.Event()
-
-    def keep_looking() -> None:
-        while not ended.wait(every_s()):
-            look(clock())
-
-    looking = asyncio.ensure_future(in_background(keep_looking))
-    try:
-        while not looking.done():
-            turn(clock())
-            await asyncio.sleep(TURN_S)
-        await looking
-    finally:
-        ended.set()
-        looking.cancel()
-
-
-# Whether there is a craft that can be commanded, and whether its motors may be asked to turn.
-
-
 class Readiness:
-    """telemetry: state of the telemetry link; why no craft can be commanded with it, or empty.
+    """Whether there is a craft that can be commanded, and whether its motors may be asked to turn:
+    what waited in sockets while this process stood still has no age but the one it brings along.
+
+    telemetry: state of the telemetry link; why no craft can be commanded with it, or empty.
     contradiction: why what a craft says it is contradicts the configuration, or empty. clock:
     monotonic, s. closing: the daemon ends."""
 
@@ -142,7 +88,8 @@ class Readiness:
     ) -> None:
         self._telemetry, self._contradiction = telemetry, contradiction
         self._end, self._clock = end, clock
-        self._freshness = Freshness()
+        self._turned_s: float | None = None
+        self._wakes_until_s = 0.0
         self.closing = False
 
     @property
@@ -154,7 +101,12 @@ class Readiness:
 
     def turn(self, now_s: float) -> None:
         """The loop that hears requests has turned."""
-        self._freshness.turn(now_s)
+        if self._stands_still(now_s):
+            self._wakes_until_s = now_s + WAKES_S
+        self._turned_s = now_s
+
+    def _stands_still(self, now_s: float) -> bool:
+        return self._turned_s is not None and now_s - self._turned_s > STOOD_S
 
     def require_craft(self, what: str) -> None:
         """Raises BadInputError where the craft that is heard is none that can be commanded, or
@@ -172,7 +124,12 @@ class Readiness:
         """Raises TakenError while a flight is being ended, LinkError for what is, or may be, too
         old. refused: what then was not done. made_s: when it was asked for, if that was told."""
         self._end.require_none(refused)
-        self._freshness.require(refused, self._clock(), made_s)
+        now_s = self._clock()
+        if made_s is None:
+            if self._stands_still(now_s) or now_s < self._wakes_until_s:
+                raise LinkError(f"the daemon stood still, and nobody knows since when: {refused}")
+        elif now_s > made_s + LIFE_S:
+            raise LinkError(f"the setpoint was made {now_s - made_s:.1f} s ago: too old to be sent")
 
 
 # What an operator may do to the craft, whoever commands it.
@@ -209,10 +166,11 @@ class Operator:
         with self._lock:
             self.stops += 1
             self._asking.end()  # whatever became of the connection
-            link = self._connection.require_connected("the stop was not sent")
-            stop = self._end.stop(link, self._leases.present, OPERATOR)
+            # a craft that is out of reach is stopped once it is back, if that is soon
+            stop = self._end.stop(self._connection.require(), self._leases.present, OPERATOR)
             text = f"the operator stops the motors; {self._former_client()}"
             self._leases.end(text, kind="stop", why=BY_OPERATOR)
+            self._connection.require_connected("the stop was not sent")
         return await outcome(stop)
 
     async def land(self) -> str:
@@ -227,7 +185,7 @@ class Operator:
             self.stops += 1
             text = f"the operator lands the craft; {self._former_client()}"
             self._leases.end(text, kind="stop", why=LANDED_BY_OPERATOR)
-        return await (outcome(ended) if isinstance(ended, Stop) else outcome_of(ended))
+        return await outcome(ended)
 
     def level(self, on: bool) -> None:
         """Whether attitude and yaw rate of every setpoint are replaced by zero, the client's thrust
@@ -351,7 +309,7 @@ class Commander:
     @property
     def lands(self) -> bool:
         """Whether the craft is being landed."""
-        return self._end.lander.runs
+        return self._end.lands
 
     # -- what a client can do --------------------------------------------------------------
 
@@ -376,16 +334,31 @@ class Commander:
             self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST, clock=self._clock)
         self._note("command", f"{client} commands now")
         link.record_parameters(client)
-        return granted(lease, link, self.limits, self.operator.stops)
+        return Granted(
+            token=lease.token,
+            stops=self.operator.stops,
+            lease_s=self.limits.lease_s,
+            level_s=self.limits.level_s,
+            stop_s=self.limits.stop_s,
+            uri=link.uri,
+            state=link.state.value,
+            firmware=link.firmware,
+            holds_height=link.holds_height,
+            holds_place=link.holds_place,
+            software=is_software(link.uri),
+            craft=identity_of(link),
+        )
 
-    def release(self, token: str) -> None:
+    def release(self, token: str, *, content: bool = True) -> None:
         """End the lease: a craft that flies is landed, or its motors are stopped. What the client
-        wrote to it stays, where it is still in reach: to one that is not, nothing was put back."""
+        wrote to it stays where it is content, nothing is being written, and the craft is still in
+        reach: to one that is not, nothing was put back."""
         with self._lock, self._counting():
             lease, link = self._require(token), self.link
             self.leases.leave(f"{lease.client} has released the craft", lease.client)
+        stays = content and not self.written.turn.locked()
         in_reach = link is not None and link.state is CommandState.CONNECTED
-        if link is not None and in_reach and craft_of(link) == lease.craft:
+        if stays and link is not None and in_reach and craft_of(link) == lease.craft:
             self.written.settle(lease.craft)
 
     async def stop_own(self, token: str) -> str:
@@ -475,9 +448,9 @@ class Commander:
             lease.steer(made_s, thrust, height_m, hovers)
             if lease.flies:
                 self._end.begun()
-                self._end.stopping.cancel()
+                self._end.cancel_zero()
             elif flew:
-                self._end.stopping.settle(link, now_s, lease.client)
+                self._end.settle(link, now_s, lease.client)
             self.setpoints += 1
             return sent_ns
 
@@ -502,17 +475,39 @@ class Commander:
 
     async def restore(self) -> dict[str, float]:
         """Write the former values of interrupted leases back now, not soon; all that were written
-        back since the daemon began. Raises TakenError while the craft flies."""
+        back since the daemon began and that nobody has changed since. Raises TakenError while the
+        craft flies, or somebody has written to it and commands."""
         link = self._connection.require_connected()
-        if self.written.left(link) and self.client is None:
+        if self.written.left(link):
+            if self.client is not None:
+                raise TakenError(f"{self.client} commands: nothing is written back meanwhile")
             if not self._stands(link):
                 raise TakenError("the craft does not stand: nothing is written to it")
             await self.written.restore(link)
         return self.written.restored(link)
 
     async def keep_restored(self) -> None:
-        """Write them back as soon as there is a craft that stands and that nobody commands."""
-        await self.written.keep_restored(lambda: self.link, self._stands, self.stored.look)
+        """Write them back as soon as there is a craft that stands and that nobody commands, and
+        then read what it has stored; for as long as the daemon runs."""
+        wait_s, told = AGAIN_S, False
+        while True:
+            await asyncio.sleep(LOOKS_S)
+            link = self.link
+            if link is None or link.state is not CommandState.CONNECTED:
+                self.written.unsure.clear()  # they are read anew
+                wait_s, told = AGAIN_S, False
+            elif self._stands(link):
+                try:
+                    await self.written.restore(link)
+                    await self.stored.look(link, self._stands)
+                    wait_s, told = AGAIN_S, False
+                except GroundStationError as error:
+                    if not told:
+                        text = f"former parameters could not be written back: {error}"
+                        self._note("fault", text)
+                    told = True
+                    await asyncio.sleep(wait_s)
+                    wait_s = min(2.0 * wait_s, AGAIN_MOST_S)
 
     def _stands(self, link: CommandLink) -> bool:
         """Whether nothing flies, lands or is being stopped, as far as anybody knows."""
@@ -540,7 +535,7 @@ class Commander:
         with self._lock:
             self.require_free()
             self._asking.end()
-            self._end.stopping.cancel()
+            self._end.cancel_zero()
             before, self._connection.link = self.link, link
         await self._connection.close(before)
 
@@ -555,7 +550,21 @@ class Commander:
 
     async def watch(self) -> None:
         """The failsafe and the standing still of this loop, for as long as the daemon runs."""
-        await watch(self.look, self.turn, self._clock, lambda: WATCH_S if self.link else IDLE_S)
+        ended = threading.Event()
+
+        def keep_looking() -> None:  # in a thread: it does not depend on the load of this loop
+            while not ended.wait(WATCH_S if self.link else IDLE_S):
+                self.look(self._clock())
+
+        looking = asyncio.ensure_future(in_background(keep_looking))
+        try:
+            while not looking.done():
+                self.turn(self._clock())
+                await asyncio.sleep(TURN_S)
+            await looking
+        finally:
+            ended.set()
+            looking.cancel()
 
     def turn(self, now_s: float) -> None:
         """The loop that hears the clients has turned."""
@@ -583,10 +592,13 @@ class Commander:
             self._asking.end()
             text = f"the daemon ends: {self.client} commands no more"
             self.leases.leave(text, FAILSAFE, why="the daemon ends")
-        link = self.link
+        link, end_s = self.link, self._clock() + LANDING_S + SEEN_S
         if link is not None:
-            while link.state is CommandState.CONNECTED and self._end.goes_on(self._clock()):
-                self.look(self._clock())
+            # one that flies on, whatever is asked of it, is left to its own limits
+            while link.state is CommandState.CONNECTED and (now_s := self._clock()) < end_s:
+                if not self._end.goes_on(now_s):
+                    break
+                self.look(now_s)
                 await asyncio.sleep(WATCH_S / 5)
             with self._lock:
                 self._end.give_up()
@@ -625,6 +637,5 @@ class Commander:
 
     async def _outcome_of(self, lease: Lease) -> str:
         """What became of its craft, or of its motors."""
-        if lease.descent is not None:
-            return await outcome_of(lease.descent)
-        return STOPPED if lease.stop is None else await outcome(lease.stop)
+        ended = lease.descent or lease.stop
+        return STOPPED if ended is None else await outcome(ended)

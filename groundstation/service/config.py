@@ -224,7 +224,9 @@ class ConfigSource:
             if ENVIRONMENT + _variable(name) in self.environment:
                 raise BadInputError(f"{ENVIRONMENT}{_variable(name)}: {former(name)}")
         for name in keys():
-            for one in (*_earlier_names(name), name):
+            table, dot, key = name.partition(".")
+            earlier = [f"{old}.{key}" for old, today in RENAMED.items() if dot and today == table]
+            for one in (*earlier, name):
                 value = self.environment.get(ENVIRONMENT + _variable(one))
                 if value is not None:
                     yield todays_name(one, f"{ENVIRONMENT}{_variable(one)}: "), value
@@ -332,11 +334,6 @@ def _changed(config: Config, changes: Mapping[str, Any], where: str, *, strict: 
         return msgspec.convert(tables, Config, strict=strict)
     except msgspec.ValidationError as error:
         raise BadInputError(f"{where}: {explained(error, Config)}") from error
-
-
-def _earlier_names(name: str) -> list[str]:
-    table, dot, key = name.partition(".")
-    return [f"{old}{dot}{key}" for old, today in RENAMED.items() if dot and today == table]
 
 
 def _is_about(error: Exception, name: str) -> bool:

@@ -1,20 +1,24 @@
-"""The control API: its table of operations, its schema, its server."""
+"""The control API: its table of operations, the status, metrics and schema, its server."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import inspect
 import json
 import logging
 import math
 import os
-from collections.abc import AsyncIterator, Awaitable, Callable
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import msgspec
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
@@ -30,23 +34,21 @@ from groundstation.errors import (
     NotAuthorisedError,
     TakenError,
 )
-from groundstation.links.command import LinkEvent
+from groundstation.links.base import LinkState
+from groundstation.links.command import CommandLink, LinkEvent
 from groundstation.links.factory import STAND_IN, argument_of, is_stand_in, split_name
 from groundstation.recording.mcap_scan import CatalogueEntry
-from groundstation.service import overview, requests
+from groundstation.service import requests
 from groundstation.service.client import http_server
 from groundstation.service.config import ControlSocket, RateLimit, settings
 from groundstation.service.jobs import Devices, Job, ModelEntry
-from groundstation.service.overview import CONTENT_TYPE, metrics
-from groundstation.service.requests import HealthStatus, Status
+from groundstation.service.lease import identity_of
+from groundstation.service.requests import HealthStatus, Place, Status
 from groundstation.service.station import Station
 from groundstation.telemetry.packet import port_and_baud
 from groundstation.text import printable
 
 # The control API as a table: what can be asked, with which body, and what answers.
-
-
-Work = Callable[[Any], Awaitable[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,433 +59,263 @@ class Operation:
     method: str
     path: str
     summary: str
-    work: Work
-    body: type | None = None
-    answer: Any = dict[str, Any]
-    limited: bool = True
+    work: Callable[..., Any]
+    body: type | None
+    answer: Any
+    limited: bool
+
+
+class Table(list[Operation]):
+    """Operations, each a function: its docstring is the summary, the types of its argument and of
+    what it returns are the body and the answer (``answer`` where that says more)."""
+
+    def get(self, path: str, answer: Any = None) -> Callable[[Callable[..., Any]], None]:
+        return lambda work: self._add("GET", path, work, answer, True)
+
+    def post(
+        self, path: str, answer: Any = None, *, limited: bool = True
+    ) -> Callable[[Callable[..., Any]], None]:
+        return lambda work: self._add("POST", path, work, answer, limited)
+
+    def _add(
+        self, method: str, path: str, work: Callable[..., Any], answer: Any, limited: bool
+    ) -> None:
+        hints = get_type_hints(work)
+        returned = hints.pop("return")
+        answer = answer or (requests.Done if returned is type(None) else returned)
+        body = next(iter(hints.values()), None)
+        summary = (work.__doc__ or "").rstrip(".")
+        self.append(Operation(method, path, summary, work, body, answer, limited))
 
 
 def operations(station: Station) -> list[Operation]:
     """Everything a client can ask of ``station``."""
-    parts = (_telemetry, _jobs, _settings, _lease, _stored, _command)
-    return [one for part in parts for one in part(station)]
+    table = Table()
+    for part in (_telemetry, _jobs, _settings, _lease, _command):
+        part(table, station)
+    return table
 
 
-def _done(call: Callable[[Any], object]) -> Work:
-    """What is done with a request's body and has nothing to say."""
+def _telemetry(table: Table, station: Station) -> None:
+    @table.get("/status", Status)
+    def status() -> dict[str, Any]:
+        """What the daemon is doing."""
+        return status_of(station)
 
-    async def work(body: Any) -> requests.Done:
-        call(body)
-        return requests.Done()
-
-    return work
-
-
-def _telemetry(station: Station) -> list[Operation]:
-    async def status(_: None) -> Any:
-        return overview.status_of(station)
-
-    async def events(_: None) -> Any:
+    @table.get("/events", list[LinkEvent])
+    def events() -> list[dict[str, Any]]:
+        """The latest events, oldest first."""
         return [asdict(event) for event in station.journal.events]
 
-    async def record_start(_: None) -> Any:
+    @table.post("/record/start")
+    async def record_start() -> dict[str, Any]:
+        """Begin a new recording."""
         await station.recordings.start()
         return station.sessions.status()
 
-    async def record_stop(_: None) -> Any:
+    @table.post("/record/stop")
+    async def record_stop() -> dict[str, Any]:
+        """Finish the recording."""
         return await station.recordings.stop()
 
-    async def recordings(_: None) -> Any:
+    @table.post("/record/mark")
+    def mark(body: requests.Mark) -> None:
+        """Put a note into the recording."""
+        station.mark(body.text, body.details)
+
+    @table.get("/recordings", list[CatalogueEntry])
+    async def recordings() -> list[dict[str, Any]]:
+        """The folder's recordings by name."""
         return await asyncio.to_thread(station.recordings.entries)
 
-    async def switch(body: requests.LinkName) -> Any:
+    @table.post("/link", Status)
+    async def switch(body: requests.LinkName) -> dict[str, Any]:
+        """Receive from another link, recording on."""
         name, model = permitted_link(body.name, station.sessions.folder), ""
         if is_stand_in(name) and name != STAND_IN:
             model = await asyncio.to_thread(station.models.file, split_name(name)[1])
         await station.switch_link(name, model)
-        return overview.status_of(station)
+        return status_of(station)
 
-    async def devices(_: None) -> Any:
+    @table.get("/devices")
+    async def devices() -> Devices:
+        """What is plugged in or in reach."""
         return await station.devices.look()
 
-    return [
-        Operation("GET", "/status", "What the daemon is doing", status, answer=Status),
-        Operation(
-            "GET", "/events", "The latest events, oldest first", events, answer=list[LinkEvent]
-        ),
-        Operation("POST", "/record/start", "Begin a new recording", record_start),
-        Operation("POST", "/record/stop", "Finish the recording", record_stop),
-        Operation(
-            "POST",
-            "/record/mark",
-            "Put a note into the recording",
-            _done(lambda body: station.mark(body.text, body.details)),
-            requests.Mark,
-            requests.Done,
-        ),
-        Operation(
-            "GET",
-            "/recordings",
-            "The folder's recordings by name",
-            recordings,
-            answer=list[CatalogueEntry],
-        ),
-        Operation(
-            "POST",
-            "/link",
-            "Receive from another link, recording on",
-            switch,
-            requests.LinkName,
-            Status,
-        ),
-        Operation("GET", "/devices", "What is plugged in or in reach", devices, answer=Devices),
-    ]
 
-
-def _jobs(station: Station) -> list[Operation]:
-    async def jobs(_: None) -> Any:
+def _jobs(table: Table, station: Station) -> None:
+    @table.get("/jobs")
+    async def jobs() -> list[Job]:
+        """Work on recordings, the oldest first."""
         return await asyncio.to_thread(station.jobs.entries)
 
-    async def job_start(body: requests.NewJob) -> Any:
-        return station.jobs.add(
-            body.kind,
-            body.recordings,
-            body.validate,
-            body.model,
-            body.effects,
-            body.measured_rotors,
-        )
+    @table.post("/jobs/start")
+    def job_start(body: requests.NewJob) -> Job:
+        """Begin a job, or let it wait for its turn."""
+        return station.jobs.add(**msgspec.structs.asdict(body))
 
-    async def job_log(body: requests.JobName) -> Any:
+    @table.post("/jobs/log")
+    async def job_log(body: requests.JobName) -> requests.JobLog:
+        """The end of a job's log."""
         return requests.JobLog(text=await asyncio.to_thread(station.jobs.log, body.id))
 
-    async def job_cancel(body: requests.JobName) -> Any:
+    @table.post("/jobs/cancel")
+    async def job_cancel(body: requests.JobName) -> Job:
+        """End a job that waits or runs."""
         return await station.jobs.cancel(body.id)
 
-    async def models(_: None) -> Any:
+    @table.get("/models")
+    async def models() -> list[ModelEntry]:
+        """The models that jobs have made, and the built-in one."""
         return await asyncio.to_thread(station.models.entries)
 
-    async def effects(_: None) -> Any:
+    @table.get("/effects")
+    def effects() -> list[requests.EffectEntry]:
+        """The effects that a model can have."""
         return [requests.EffectEntry(name=one.name, adds=one.adds) for one in EFFECTS.values()]
 
-    async def watch(body: requests.Watched) -> Any:
+    @table.post("/models/watch", Status)
+    async def watch(body: requests.Watched) -> dict[str, Any]:
+        """Watch the craft with a model, or with none."""
         model = await asyncio.to_thread(station.models.file, body.model) if body.model else ""
         station.twin.configure(model)
-        return overview.status_of(station)
-
-    return [
-        Operation("GET", "/jobs", "Work on recordings, the oldest first", jobs, answer=list[Job]),
-        Operation(
-            "POST",
-            "/jobs/start",
-            "Begin a job, or let it wait for its turn",
-            job_start,
-            requests.NewJob,
-            Job,
-        ),
-        Operation(
-            "POST",
-            "/jobs/log",
-            "The end of a job's log",
-            job_log,
-            requests.JobName,
-            requests.JobLog,
-        ),
-        Operation(
-            "POST",
-            "/jobs/cancel",
-            "End a job that waits or runs",
-            job_cancel,
-            requests.JobName,
-            Job,
-        ),
-        Operation(
-            "GET",
-            "/models",
-            "The models that jobs have made, and the built-in one",
-            models,
-            answer=list[ModelEntry],
-        ),
-        Operation(
-            "GET",
-            "/effects",
-            "The effects that a model can have",
-            effects,
-            answer=list[requests.EffectEntry],
-        ),
-        Operation(
-            "POST",
-            "/models/watch",
-            "Watch the craft with a model, or with none",
-            watch,
-            requests.Watched,
-            Status,
-        ),
-    ]
+        return status_of(station)
 
 
-def _settings(station: Station) -> list[Operation]:
-    async def configuration(_: None) -> Any:
-        return {each.name: each.value for each in settings(station.config)}
-
-    async def page_address(_: None) -> Any:
+def _settings(table: Table, station: Station) -> None:
+    @table.post("/page/address")
+    def page_address() -> requests.PageAddress:
+        """A new address of the operator's page."""
         return requests.PageAddress(url=station.page.address())
 
-    return [
-        Operation(
-            "POST",
-            "/page/address",
-            "A new address of the operator's page",
-            page_address,
-            answer=requests.PageAddress,
-        ),
-        Operation(
-            "POST",
-            "/page/admit",
-            "Use up the token of such an address",
-            _done(lambda body: station.page.admit(body.token)),
-            requests.PageToken,
-            requests.Done,
-        ),
-        Operation("GET", "/config", "Every key of the configuration in force", configuration),
-    ]
+    @table.post("/page/admit")
+    def admit(body: requests.PageToken) -> None:
+        """Use up the token of such an address."""
+        station.page.admit(body.token)
+
+    @table.get("/config")
+    def configuration() -> dict[str, Any]:
+        """Every key of the configuration in force."""
+        return {each.name: each.value for each in settings(station.config)}
 
 
-def _lease(station: Station) -> list[Operation]:
+def _lease(table: Table, station: Station) -> None:
     """What the one client that commands asks."""
     commander = station.commander
 
-    async def acquire(body: requests.Acquire) -> Any:
+    @table.post("/command/acquire")
+    def acquire(body: requests.Acquire) -> requests.Lease:
+        """Become the one client that commands."""
         return commander.acquire(body.client, body.stops)
 
-    async def setpoint(body: requests.Setpoint) -> Any:
-        values = msgspec.structs.asdict(body)
-        time_ns = commander.setpoint(values.pop("token"), **values)
+    @table.post("/command/release")
+    def release(body: requests.Release) -> None:
+        """Land the craft, or stop its motors, and give the lease back."""
+        commander.release(body.token, content=body.content)
+
+    @table.post("/command/keep")
+    def keep(body: requests.Holder) -> None:
+        """Keep the lease while nothing is sent."""
+        commander.keep(body.token)
+
+    @table.post("/command/setpoint", limited=False)
+    def setpoint(body: requests.Setpoint) -> requests.Sent:
+        """Send one setpoint, up to 100 a second."""
         return requests.Sent(
-            time_ns=time_ns,
+            time_ns=commander.setpoint(**msgspec.structs.asdict(body)),
             telemetry=station.newest.telemetry(),
             link_state=station.receiver.state.value,
             hindrance=commander.supervisor.hindrance,
             height_m=commander.supervisor.height_m,
-            place=overview.place(commander.link),
+            place=place(commander.link),
         )
 
-    async def stop_own(body: requests.Holder) -> Any:
+    @table.post("/command/stop_own", limited=False)
+    async def stop_own(body: requests.Holder) -> requests.Stopped:
+        """Stop the motors and keep the lease."""
         return requests.Stopped(motors=await commander.stop_own(body.token))
 
-    async def land_own(body: requests.Holder) -> Any:
+    @table.post("/command/land_own", limited=False)
+    async def land_own(body: requests.Holder) -> requests.Stopped:
+        """Land the craft and keep the lease."""
         return requests.Stopped(motors=await commander.land_own(body.token))
 
-    async def write_parameters(body: requests.Parameters) -> Any:
+    @table.post("/command/announce")
+    def announce(body: requests.Announcement) -> None:
+        """Say what is about to happen to the craft."""
+        commander.announce(body.token, body.text, body.in_s)
+
+    @table.post("/command/parameters")
+    async def write_parameters(body: requests.Parameters) -> requests.Values:
+        """Write parameters and read them back."""
         return requests.Values(values=await commander.write_parameters(body.token, body.values))
 
-    return [
-        Operation(
-            "POST",
-            "/command/acquire",
-            "Become the one client that commands",
-            acquire,
-            requests.Acquire,
-            requests.Lease,
-        ),
-        Operation(
-            "POST",
-            "/command/release",
-            "Land the craft, or stop its motors, and give the lease back",
-            _done(lambda body: commander.release(body.token)),
-            requests.Holder,
-            requests.Done,
-        ),
-        Operation(
-            "POST",
-            "/command/keep",
-            "Keep the lease while nothing is sent",
-            _done(lambda body: commander.keep(body.token)),
-            requests.Holder,
-            requests.Done,
-        ),
-        Operation(
-            "POST",
-            "/command/setpoint",
-            "Send one setpoint, up to 100 a second",
-            setpoint,
-            requests.Setpoint,
-            requests.Sent,
-            limited=False,
-        ),
-        Operation(
-            "POST",
-            "/command/stop_own",
-            "Stop the motors and keep the lease",
-            stop_own,
-            requests.Holder,
-            requests.Stopped,
-            limited=False,
-        ),
-        Operation(
-            "POST",
-            "/command/land_own",
-            "Land the craft and keep the lease",
-            land_own,
-            requests.Holder,
-            requests.Stopped,
-            limited=False,
-        ),
-        Operation(
-            "POST",
-            "/command/announce",
-            "Say what is about to happen to the craft",
-            _done(lambda body: commander.announce(body.token, body.text, body.in_s)),
-            requests.Announcement,
-            requests.Done,
-        ),
-        Operation(
-            "POST",
-            "/command/parameters",
-            "Write parameters and read them back",
-            write_parameters,
-            requests.Parameters,
-            requests.Values,
-        ),
-    ]
+    keeping = commander.stored
 
-
-def _stored(station: Station) -> list[Operation]:
-    """What the craft keeps while it is switched off."""
-    keeping = station.commander.stored
-
-    async def stored(_: None) -> Any:
+    @table.get("/command/stored")
+    async def stored() -> requests.StoredValues:
+        """What the craft keeps while it is switched off."""
         return requests.StoredValues(parameters=await keeping.states())
 
-    async def store(body: requests.StoredNames) -> Any:
+    @table.post("/command/stored/store")
+    async def store(body: requests.StoredNames) -> requests.StoredValues:
+        """Let the craft keep present values while it is switched off."""
         return requests.StoredValues(parameters=await keeping.store(body.token, body.names))
 
-    async def clear(body: requests.StoredNames) -> Any:
+    @table.post("/command/stored/clear")
+    async def clear(body: requests.StoredNames) -> requests.StoredValues:
+        """Let the craft forget what it has stored."""
         return requests.StoredValues(parameters=await keeping.clear(body.token, body.names))
 
-    return [
-        Operation(
-            "GET",
-            "/command/stored",
-            "What the craft keeps while it is switched off",
-            stored,
-            answer=requests.StoredValues,
-        ),
-        Operation(
-            "POST",
-            "/command/stored/store",
-            "Let the craft keep present values while it is switched off",
-            store,
-            requests.StoredNames,
-            requests.StoredValues,
-        ),
-        Operation(
-            "POST",
-            "/command/stored/clear",
-            "Let the craft forget what it has stored",
-            clear,
-            requests.StoredNames,
-            requests.StoredValues,
-        ),
-    ]
 
-
-def _command(station: Station) -> list[Operation]:
+def _command(table: Table, station: Station) -> None:
     """What is asked of the craft, whoever commands."""
     commander, operator = station.commander, station.commander.operator
 
-    async def stop(_: None) -> Any:
+    @table.post("/command/stop", limited=False)
+    async def stop() -> requests.Stopped:
+        """Stop the motors, whoever commands."""
         ended = station.jobs.end_flying()
         return requests.Stopped(motors=await operator.stop(), ended=ended)
 
-    async def land(_: None) -> Any:
+    @table.post("/command/land", limited=False)
+    async def land() -> requests.Stopped:
+        """Land the craft, whoever commands."""
         landing = asyncio.ensure_future(operator.land())
         await asyncio.sleep(0)  # it is refused at once, or has begun
         ended = [] if landing.done() and landing.exception() else station.jobs.end_flying()
         return requests.Stopped(motors=await landing, ended=ended)
 
-    async def arm(body: requests.Armed) -> Any:
+    @table.post("/command/level", limited=False)
+    def level(body: requests.Level) -> None:
+        """Hold the craft level, or no more."""
+        operator.level(body.on)
+
+    @table.post("/command/arm")
+    async def arm(body: requests.Armed) -> None:
+        """Arm the motors or disarm them, whoever commands."""
         await operator.arm(body.on)
-        return requests.Done()
 
-    async def recover(_: None) -> Any:
+    @table.post("/command/recover")
+    async def recover() -> None:
+        """Let a crashed craft be ready again."""
         await operator.recover()
-        return requests.Done()
 
-    async def connect(body: requests.CommandUri) -> Any:
+    @table.post("/command/connect", Status)
+    async def connect(body: requests.CommandUri) -> dict[str, Any]:
+        """Command the craft at another address."""
         await station.craft.connect_command(body.uri)
-        return overview.status_of(station)
+        return status_of(station)
 
-    async def parameters(_: None) -> Any:
+    @table.get("/command/parameters")
+    def parameters() -> requests.Values:
+        """The craft's parameters."""
         return requests.Values(values=commander.parameters())
 
-    async def restore(_: None) -> Any:
+    @table.post("/command/restore")
+    async def restore() -> requests.Values:
+        """Write former parameters back; what was, since the daemon began."""
         return requests.Values(values=await commander.restore())
-
-    return [
-        Operation(
-            "POST",
-            "/command/stop",
-            "Stop the motors, whoever commands",
-            stop,
-            answer=requests.Stopped,
-            limited=False,
-        ),
-        Operation(
-            "POST",
-            "/command/land",
-            "Land the craft, whoever commands",
-            land,
-            answer=requests.Stopped,
-            limited=False,
-        ),
-        Operation(
-            "POST",
-            "/command/level",
-            "Hold the craft level, or no more",
-            _done(lambda body: operator.level(body.on)),
-            requests.Level,
-            requests.Done,
-            limited=False,
-        ),
-        Operation(
-            "POST",
-            "/command/arm",
-            "Arm the motors or disarm them, whoever commands",
-            arm,
-            requests.Armed,
-            requests.Done,
-        ),
-        Operation(
-            "POST",
-            "/command/recover",
-            "Let a crashed craft be ready again",
-            recover,
-            answer=requests.Done,
-        ),
-        Operation(
-            "POST",
-            "/command/connect",
-            "Command the craft at another address",
-            connect,
-            requests.CommandUri,
-            Status,
-        ),
-        Operation(
-            "GET",
-            "/command/parameters",
-            "The craft's parameters",
-            parameters,
-            answer=requests.Values,
-        ),
-        Operation(
-            "POST",
-            "/command/restore",
-            "Write former parameters back; what was, since the daemon began",
-            restore,
-            answer=requests.Values,
-        ),
-    ]
 
 
 def permitted_link(name: str, folder: Path) -> str:
@@ -512,6 +344,8 @@ def permitted_link(name: str, folder: Path) -> str:
         for path in (Path(os.path.abspath(port)), _resolved(port)):
             if not path.is_relative_to("/dev") or any(map(path.is_relative_to, _FOR_ALL)):
                 raise BadInputError(f"{port} is not a device in /dev")
+    elif what not in ("", "MODEL"):
+        raise BadInputError(f"{name}: a request cannot choose a {what}; start a daemon with --link")
     return name
 
 
@@ -523,6 +357,207 @@ def _resolved(path: Path) -> Path:
         return path.resolve()
     except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
         raise BadInputError(f"{path}: leads nowhere") from error
+
+
+# What the daemon is doing, and what keeps it from doing what it is there for.
+
+
+def status_of(station: Station) -> dict[str, Any]:
+    """The keys of the design's ``status --json``, and more (``requests.Status``)."""
+    statistics, receiver = station.statistics, station.receiver
+    link = receiver.link
+    return {
+        "link": {
+            "name": link.name,
+            "state": receiver.state.value,
+            "rate_hz": statistics.rate_hz if statistics else 0.0,
+            "lost": statistics.lost if statistics else 0,
+            "latency_ms": statistics.latency_ms if statistics else None,
+            "doing": link.doing,
+            "pauses": link.pauses,
+        },
+        "vehicle": station.craft.vehicle,
+        "recording": station.recordings.status(),
+        "viewer": station.viewer.status(),
+        "page": station.page.status(),
+        "command": _commanded(station),
+        "twin": station.twin.status(),
+        "stream": {"clients": len(station.stream), "dropped": station.stream.dropped},
+        "tasks": station.supervisor.status(),
+        "health": station.health.status(problems(station)),
+        "faults": station.journal.faults,
+        "turned_away": station.turned_away,
+        "uptime_s": time.monotonic() - station.started_s,
+        "statistics": statistics.as_dict() if statistics else None,
+    }
+
+
+def problems(station: Station) -> list[str]:
+    """What keeps the daemon from doing what it is there for, in words."""
+    found = []
+    state, link = station.receiver.state, station.receiver.link
+    if state not in (LinkState.STREAMING, LinkState.ENDED) and not link.pauses:
+        found.append(f"link {link.name}: {state.value}")
+    recording = station.recordings.status()
+    if recording["wanted"] and recording["state"] != "recording":
+        found.append(f"recording: {recording['state']}; {recording.get('text', '')}")
+    if recording["state"] == "recording" and recording["dropped"]:
+        found.append(f"recording: {recording['dropped']} dropped; the disk is too slow")
+    viewer = station.viewer.status()["state"]
+    if viewer in ("restarting", "failed"):
+        found.append(f"viewer: {viewer}")
+    if station.page.status()["state"] == "restarting":
+        found.append("page: restarting")
+    command = station.commander.link
+    if command is not None and command.state.value not in ("connected", "connecting"):
+        found.append(f"command link {command.uri}: {command.state.value}")
+    if reason := station.craft.out_of_reach():
+        found.append(reason)
+    found += [f"task {name} is dead" for name in station.supervisor.dead()]
+    return found
+
+
+def _commanded(station: Station) -> dict[str, Any] | None:
+    """The craft that is commanded, and by whom."""
+    commander = station.commander
+    link, lease = commander.link, commander.leases.present
+    if link is None:
+        return None
+    announced = None
+    if lease is not None and lease.announced is not None:
+        text, at_s = lease.announced
+        announced = {"text": text, "in_s": round(max(at_s - time.monotonic(), 0.0), 1)}
+    return {
+        "uri": link.uri,
+        "state": link.state.value,
+        "firmware": link.firmware,
+        "client": commander.client,
+        "armed": link.armed,
+        "hindrance": link.supervisor.hindrance,
+        "crashed": link.supervisor.crashed,
+        "held_level": lease is not None and lease.held_level,
+        "setpoints": commander.setpoints,
+        "superseded": link.superseded,
+        "refused": commander.refused,
+        "interventions": commander.leases.vanished,
+        "out_of_reach": station.craft.out_of_reach(),
+        "stops": commander.operator.stops,
+        "landing": commander.lands,
+        "announced": announced,
+        "unproven": {}
+        if lease is not None
+        else {
+            name: {"former": one.former, "now": now, "client": one.client}
+            for name, (one, now) in commander.written.left(link).items()
+        },
+        "stores": link.storage is not None,
+        "stored": commander.stored.told(link),
+        "craft": identity_of(link),
+        "holds_height": link.holds_height,
+        "place": place(link),
+    }
+
+
+def place(link: CommandLink | None) -> Place | None:
+    """Where the craft is by its own account; None for one that measures no velocity over the
+    ground, whose account is worth nothing."""
+    said = None if link is None else link.supervisor.place
+    if link is None or said is None or not link.holds_place:
+        return None
+    return Place(
+        x_m=said.x_m,
+        y_m=said.y_m,
+        z_m=said.z_m,
+        vx_m_s=said.vx_m_s,
+        vy_m_s=said.vy_m_s,
+        vz_m_s=said.vz_m_s,
+        age_s=round(link.monotonic() - said.heard_s, 4),
+        at_s=None if math.isnan(said.at_s) else said.at_s,
+    )
+
+
+# ``/metrics``: what the status says, as Prometheus wants it.
+
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+PREFIX = "groundstation_"
+
+_GAUGES = (
+    ("link_rate_hz", "Samples a second", "statistics.rate_hz"),
+    ("link_packets_hz", "Packets a second, copies included", "statistics.packets_hz"),
+    ("link_loss_percent", "Samples missing in the last second", "statistics.loss_pct"),
+    ("link_latency_ms", "Median lateness of packets", "statistics.latency_ms"),
+    ("link_latency_p99_ms", "99th percentile of lateness", "statistics.latency_p99_ms"),
+    ("link_jitter_ms", "Interquartile range of lateness", "statistics.jitter_ms"),
+    ("link_clock_ppm", "Device clock against host clock", "statistics.clock_ppm"),
+    ("recording_bytes", "Size of the present recording", "recording.bytes"),
+    ("recording_samples", "Samples in the present recording", "recording.samples"),
+    ("stream_clients", "Programs that read the live stream", "stream.clients"),
+    ("uptime_seconds", "Time since the start", "uptime_s"),
+    ("healthy", "1 when /health says so", "health.healthy"),
+    ("loop_lag_ms", "Worst delay of the event loop in a minute", "health.loop_lag_ms"),
+    ("memory_megabytes", "Resident memory", "health.memory_mb"),
+    ("descriptors", "Open file descriptors", "health.descriptors"),
+    ("threads", "Threads", "health.threads"),
+)
+_COUNTERS = (
+    ("link_packets", "Packets, copies included", "statistics.packets"),
+    ("link_samples", "Samples decoded", "statistics.samples"),
+    ("link_lost", "Samples lost on the link", "statistics.lost"),
+    ("link_duplicates", "Further copies of a sample", "statistics.duplicates"),
+    ("link_malformed", "Packets that cannot be any", "statistics.malformed"),
+    ("link_restarts", "Restarts of the device", "statistics.restarts"),
+    ("recording_dropped", "Items the recorder's queue had no room for", "recording.dropped"),
+    ("recording_rotations", "Files ended to begin the next part", "recording.rotations"),
+    ("recording_resumed", "Recordings resumed after a fault", "recording.resumed"),
+    ("recording_deleted", "Recordings deleted for space", "recording.deleted"),
+    ("viewer_dropped", "Items the viewer was too slow for", "viewer.dropped"),
+    ("viewer_restarts", "Restarts of the viewer", "viewer.restarts"),
+    ("stream_dropped", "Items that stream clients were too slow for", "stream.dropped"),
+    ("twin_events", "Disagreements that the twin told", "twin.events"),
+    ("twin_dropped", "Samples that the twin was too slow for", "twin.dropped"),
+    ("command_setpoints", "Setpoints of clients", "command.setpoints"),
+    ("command_refused", "Requests to command that were refused", "command.refused"),
+    ("command_interventions", "Times the failsafe stopped the motors", "command.interventions"),
+    ("command_superseded", "Setpoints replaced by a newer one", "command.superseded"),
+    ("control_turned_away", "Requests beyond the API's limits", "turned_away"),
+    ("faults", "Faults of the program, survived", "faults"),
+    ("cpu_seconds", "Processor time", "health.cpu_s"),
+)
+
+
+class _Collector:
+    def __init__(self, station: Station) -> None:
+        self._station = station
+
+    def collect(self) -> Iterator[Any]:
+        status = status_of(self._station)
+        for table, kind in ((_GAUGES, GaugeMetricFamily), (_COUNTERS, CounterMetricFamily)):
+            for name, text, path in table:
+                if (value := _at(status, path)) is not None:
+                    yield kind(PREFIX + name, text, value=float(value))
+        restarts = CounterMetricFamily(
+            PREFIX + "task_restarts", "Restarts of a supervised task", labels=["task"]
+        )
+        for task, count in status["tasks"].items():
+            restarts.add_metric([task], float(count["restarts"]))
+        yield restarts
+
+
+def metrics(station: Station) -> bytes:
+    """The text of one scrape."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_Collector(station))
+    return generate_latest(registry)
+
+
+def _at(status: dict[str, Any], path: str) -> Any:
+    value: Any = status
+    for key in path.split("."):
+        if not isinstance(value, dict):
+            return None
+        value = value.get(key)
+    return value
 
 
 # The control API's schema (OpenAPI 3.1), made from its table of operations.
@@ -652,7 +687,10 @@ def control_app(station: Station) -> Starlette:
     def route(operation: Operation) -> Route:
         async def work(request: Request) -> Response:
             body = await _body(request, operation.body)
-            return _Json(await operation.work(body))
+            found = operation.work() if operation.body is None else operation.work(body)
+            if inspect.isawaitable(found):
+                found = await found
+            return _Json(requests.Done() if found is None else found)
 
         where = f"{operation.method} {operation.path}"
         return Route(
@@ -721,7 +759,7 @@ def _others(
     """What is asked by GET and answers something else than an operation, by path."""
 
     async def health(request: Request) -> Response:
-        found = station.health.status(overview.problems(station))
+        found = station.health.status(problems(station))
         return _Json(found, status_code=200 if found["healthy"] else 503)
 
     async def scrape(request: Request) -> Response:
@@ -791,4 +829,5 @@ class _Json(Response):
         try:
             return msgspec.json.encode(content, enc_hook=str)
         except UnicodeEncodeError:  # the name of a file that is not UTF-8
-            return json.dumps(content, separators=(",", ":"), default=str).encode("ascii")
+            content = msgspec.to_builtins(content, enc_hook=str)
+            return json.dumps(content, separators=(",", ":")).encode("ascii")

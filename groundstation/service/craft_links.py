@@ -13,12 +13,12 @@ import os
 import socket
 import struct
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
@@ -67,14 +67,6 @@ OPEN_MOST_S = 30.0
 _ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
 
 
-class Telling(Protocol):
-    """How the receiver reports: kind or fault, text, source."""
-
-    def note(self, kind: str, text: str, *, source: str) -> None: ...
-
-    def fault(self, text: str, *, source: str) -> None: ...
-
-
 class Receiver:
     """Turns what a link delivers into packets and samples for whoever wants them.
 
@@ -86,7 +78,7 @@ class Receiver:
     def __init__(
         self,
         link: Link,
-        telling: Telling,
+        telling: Journal,
         *,
         on_raw: Callable[[RawBatch], None],
         on_samples: Callable[[SampleBatch], None],
@@ -142,7 +134,9 @@ class Receiver:
         failed in the middle.
         """
         if self._fast:
-            await self._compile()
+            text = "preparing the decoder, first start only: it is compiled once per machine"
+            async with announced(partial(self._telling.note, "preparing", text, source="decoder")):
+                await in_background(compile_kernel)
         while True:
             self._reading = asyncio.create_task(self._follow(opened, ended), name="link")
             try:
@@ -295,11 +289,6 @@ class Receiver:
         except Exception as error:
             self._telling.fault(f"closing failed: {error!r}", source=link.name)
 
-    async def _compile(self) -> None:
-        text = "preparing the decoder, first start only: it is compiled once per machine"
-        async with announced(partial(self._telling.note, "preparing", text, source="decoder")):
-            await in_background(compile_kernel)
-
     def _lose(self) -> None:
         """What follows is a new segment, after whatever went wrong."""
         self._away = LinkState.LOST
@@ -379,7 +368,7 @@ class Dongles:
 
     def take(self, ways: Mapping[str, Iterable[str]]) -> None:
         """Hold also what these addresses lead through. Raises TakenError, and changes nothing,
-        where another program has one. ways: by address, see ``craft_address.ways_of``."""
+        where another program has one. ways: by address, see ``command.ways_of``."""
         wanted = {way: uri for uri, leads in ways.items() for way in leads}
         with contextlib.ExitStack() as undone:
             new = {
@@ -465,7 +454,8 @@ class Journal:
     """
 
     def __init__(self, clock: HostClock, is_repetition: Callable[[str, str], bool]) -> None:
-        self._kept = _Kept(EVENTS_KEPT)
+        self._number = itertools.count()
+        self._kept: dict[str, deque[tuple[int, LinkEvent]]] = {}  # by kind
         self.damaged = False
         """Whether the source had parts that could not be read."""
         self.faults = 0
@@ -478,7 +468,7 @@ class Journal:
     @property
     def events(self) -> list[LinkEvent]:
         """The latest, in the order in which they came."""
-        return list(self._kept)
+        return [event for _, event in heapq.merge(*self._kept.values(), key=itemgetter(0))]
 
     def note(self, kind: str, text: str, *, source: str) -> None:
         """An event of the daemon itself."""
@@ -494,34 +484,14 @@ class Journal:
         event = replace(event, link=printable(event.link), text=printable(event.text))
         if self._is_repetition(event.link, event.kind):
             return
-        self._kept.append(event)
+        self._kept.setdefault(event.kind, deque()).append((next(self._number), event))
+        if sum(map(len, self._kept.values())) > EVENTS_KEPT:
+            # a flood of one kind pushes out its own
+            max(self._kept.values(), key=len).popleft()
         self.damaged |= event.kind == "damage"
         self.log(event, event.kind in _WARNINGS)
         for listener in self.listeners:
             listener(event)
-
-
-class _Kept:
-    """The latest events in order; a flood of one kind pushes out its own.
-
-    most: of all kinds. Beyond it the oldest of the kind that has most is forgotten.
-    """
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._number = itertools.count()
-        self._by_kind: dict[str, deque[tuple[int, LinkEvent]]] = {}
-
-    def append(self, event: LinkEvent) -> None:
-        self._by_kind.setdefault(event.kind, deque()).append((next(self._number), event))
-        if len(self) > self._most:
-            max(self._by_kind.values(), key=len).popleft()
-
-    def __len__(self) -> int:
-        return sum(map(len, self._by_kind.values()))
-
-    def __iter__(self) -> Iterator[LinkEvent]:
-        return (event for _, event in heapq.merge(*self._by_kind.values(), key=itemgetter(0)))
 
 
 def telemetry_link(
@@ -636,9 +606,18 @@ class CraftLinks:
         self.tell_no_craft()
 
     def tell(self) -> None:
-        """Of a link that was just opened."""
+        """Of a link that was just opened. What its craft says it is goes into the recordings,
+        unless the configuration says."""
         self.tell_no_craft()
-        self._tell_vehicle()
+        link = self._receiver.link
+        said, configured = link.vehicle, self._config.vehicle
+        self.metadata["profile"] = configured or said or DEFAULT_VEHICLE
+        if said and configured and said != configured:
+            self._journal.note(
+                "vehicle",
+                f"the craft says it is a {said}; recordings say {configured}, as configured",
+                source=link.name,
+            )
 
     def tell_no_craft(self) -> None:
         """Of a command link that is not used with this telemetry, before somebody wonders."""
@@ -709,18 +688,6 @@ class CraftLinks:
     def _uris(self) -> tuple[str, str]:
         command = self._commander.link
         return self._receiver.link.name, "" if command is None else command.uri
-
-    def _tell_vehicle(self) -> None:
-        """What the craft says it is goes into the recordings, unless the configuration says."""
-        link = self._receiver.link
-        said, configured = link.vehicle, self._config.vehicle
-        self.metadata["profile"] = configured or said or DEFAULT_VEHICLE
-        if said and configured and said != configured:
-            self._journal.note(
-                "vehicle",
-                f"the craft says it is a {said}; recordings say {configured}, as configured",
-                source=link.name,
-            )
 
     async def _command_by(self, link: CommandLink) -> None:
         """From now on. Raises TakenError while motors are not known to have stopped."""

@@ -19,15 +19,7 @@ import msgspec
 
 from groundstation.documents import read_document
 from groundstation.dynamics.meanings import arx_meaning, meaning_of
-from groundstation.dynamics.model import (
-    BodyConstants,
-    Model,
-    load_model,
-    of_rates,
-    origin_notes,
-    origin_of,
-)
-from groundstation.dynamics.vehicle import MotorConstants
+from groundstation.dynamics.model import Model, load_model, of_rates, origin_notes, origin_of
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.paths import dated, write_whole
 from groundstation.text import printable
@@ -43,15 +35,8 @@ MEMORY_SHARE = 0.5
 def own_program(*words: str, niceness: int = 5) -> tuple[str, ...]:
     """What starts Python with ``words`` so that it ends with this process. niceness: beyond
     ours."""
-    return (
-        sys.executable,
-        "-m",
-        "groundstation.viewer.leash",
-        str(os.getpid()),
-        str(niceness),
-        sys.executable,
-        *words,
-    )
+    leash = "-m", "groundstation.viewer.leash", str(os.getpid()), str(niceness)
+    return (sys.executable, *leash, sys.executable, *words)
 
 
 def own_command(*arguments: str, niceness: int = 5) -> tuple[str, ...]:
@@ -120,12 +105,9 @@ class Advice(msgspec.Struct, frozen=True, kw_only=True):
 def advice(model: Path) -> Advice:
     """What the fit of a body advised; nothing where there is no such model."""
     account = _part_of(_part_of(_read(model), "fit"), "body")
-    left_out, warnings = (
-        list(map(str, found)) if isinstance(found := account.get(key), list) else []
-        for key in ("left_out", "warnings")
-    )
-    measured = any("--measured-rotors" in text for text in warnings)
-    return Advice(effects=sorted(left_out), measured_rotors=measured)
+    measured = any("--measured-rotors" in str(text) for text in _list_in(account, "warnings"))
+    effects = sorted(map(str, _list_in(account, "left_out")))
+    return Advice(effects=effects, measured_rotors=measured)
 
 
 def _read(path: Path) -> Mapping[str, Any]:
@@ -151,19 +133,12 @@ and puts back what it wrote."""
 NICENESS = 1
 """The recorder goes first, and what only shows (5) last: a person waits for a job."""
 PROGRESS = "GROUNDSTATION_PROGRESS"
-"""Where a command tells how far it is, and what it has found (``cli/progress.py``)."""
+"""Where a command tells how far it is, and what it has found (``cli/terminal.py``)."""
 STOPS = "GROUNDSTATION_STOPS"
 """How often the operator had stopped or landed a craft when a person began the job."""
 CUT = "the daemon was ended while this ran"
-_ENTRY, _LOG, _REPORT, _MODEL, _GAINS, _PROGRESS = (
-    "job.json",
-    "log.txt",
-    "report.html",
-    "model.json",
-    "gains.toml",
-    "progress.json",
-)
-
+_ENTRY, _LOG, _PROGRESS = "job.json", "log.txt", "progress.json"
+_REPORT, _MODEL, _GAINS = "report.html", "model.json", "gains.toml"
 LEARNT = "learnt"
 """The folder of ``learn`` in a job's own."""
 
@@ -294,20 +269,16 @@ class Jobs:
                 with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError):
                     job = msgspec.json.decode(read_document(path), type=Job)
                     job.id = path.parent.name  # whatever the file says
-                    if job.state in ("waiting", "running"):  # of a daemon that was killed
+                    if _lasts(job):  # of a daemon that was killed
                         job.state, job.text = "failed", CUT
                     self._kept(job)
                     found[job.id] = job
         for job in found.values():
             if job.state == "running":
-                self._look(job)
+                told = self._told(job)
+                job.stage = printable(told.stage)
+                job.share = job.share if told.share is None else told.share
         return [found[name] for name in sorted(found)]
-
-    def _look(self, job: Job) -> None:
-        """How far it is, as far as it has told."""
-        told = self._told(job)
-        job.stage = printable(told.stage)
-        job.share = job.share if told.share is None else told.share
 
     def _told(self, job: Job) -> _Told:
         with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError):
@@ -326,7 +297,7 @@ class Jobs:
     async def cancel(self, name: str) -> Job:
         """End a job that waits or runs. Raises BadInputError for another."""
         job = self._own.get(name)
-        if job is None or job.state not in ("waiting", "running"):
+        if job is None or not _lasts(job):
             raise BadInputError(f"{name}: no job that waits or runs")
         was_running, job.state = job.state == "running", "cancelled"
         if was_running:
@@ -338,11 +309,7 @@ class Jobs:
     def end_flying(self) -> list[str]:
         """End jobs that fly the craft, whether they do at the moment or not: the operator has
         stopped its motors, or lands it. Their kinds."""
-        flying = [
-            job
-            for job in self._own.values()
-            if job.kind in FLIES and job.state in ("waiting", "running")
-        ]
+        flying = [job for job in self._own.values() if job.kind in FLIES and _lasts(job)]
         for job in flying:
             job.text = "the operator has ended it"
             ending = asyncio.create_task(self._cancelled(job))
@@ -370,7 +337,7 @@ class Jobs:
             ending.cancel()
         patience_s = STOP_S
         for job in self._own.values():
-            if job.state in ("waiting", "running"):
+            if _lasts(job):
                 if job.state == "running" and job.kind in FLIES:
                     patience_s = LANDS_S
                 job.state, job.text = "cancelled", "the daemon has ended"
@@ -486,6 +453,10 @@ class Jobs:
         return folder
 
 
+def _lasts(job: Job) -> bool:
+    return job.state in ("waiting", "running")
+
+
 def _there(path: Path) -> str | None:
     return str(path.absolute()) if path.is_file() else None
 
@@ -531,18 +502,15 @@ class DeviceList:
         """Raises GroundStationError where it cannot be told."""
         async with self._looking:
             if self._found is None or time.monotonic() - self._found_s > FRESH_S:
-                self._found = await self._ask()
+                away = ["--no-craft"] if self._busy() else []
+                status, out, said = await run_command(
+                    "devices", "--json", *away, patience_s=DEVICES_PATIENCE_S
+                )
+                if status:
+                    raise GroundStationError(f"devices: {said}")
+                self._found = msgspec.json.decode(out, type=Devices)
                 self._found_s = time.monotonic()
             return self._found
-
-    async def _ask(self) -> Devices:
-        away = ["--no-craft"] if self._busy() else []
-        status, out, said = await run_command(
-            "devices", "--json", *away, patience_s=DEVICES_PATIENCE_S
-        )
-        if status:
-            raise GroundStationError(f"devices: {said}")
-        return msgspec.json.decode(out, type=Devices)
 
 
 # The models that jobs have made of the folder's recordings, and what each knows of its numbers.
@@ -624,6 +592,7 @@ class Models:
 
 
 def _described(job: Job, model: Model) -> ModelEntry:
+    said = [one for account in model.fit.values() for one in _list_in(account, "warnings")]
     return ModelEntry(
         id=job.id,
         kind=job.kind,
@@ -633,7 +602,7 @@ def _described(job: Job, model: Model) -> ModelEntry:
         validate=job.validate,
         parameters=list(_parameters(model)),
         effects=[term.name for term in model.effects],
-        notes=origin_notes(model) + _warnings(model),
+        notes=origin_notes(model) + [printable(str(one)) for one in said],
         file=job.model_file,
         report=job.report,
     )
@@ -641,14 +610,8 @@ def _described(job: Job, model: Model) -> ModelEntry:
 
 def _parameters(model: Model) -> Iterator[ModelParameter]:
     origins = origin_of(model)
-    parts: dict[str, MotorConstants | BodyConstants | None] = {
-        "motor": model.motor,
-        "body": model.body,
-    }
-    for part, constants in parts.items():
-        if constants is None:
-            continue
-        for key, value in msgspec.structs.asdict(constants).items():
+    for part, constants in (("motor", model.motor), ("body", model.body)):
+        for key, value in ({} if constants is None else msgspec.structs.asdict(constants)).items():
             name = f"{part}.{key}"
             unit, meaning = meaning_of(name)
             origin = model.origin.get(name, origins[part])
@@ -673,8 +636,7 @@ def _parameters(model: Model) -> Iterator[ModelParameter]:
 def _parameter(
     name: str, value: float, unit: str, stderr: float | None, origin: Any, meaning: str
 ) -> ModelParameter:
-    known = stderr is not None and math.isfinite(stderr)
-    side = SIDE_95 * stderr if stderr is not None and known else None
+    side = SIDE_95 * stderr if stderr is not None and math.isfinite(stderr) else None
     return ModelParameter(
         name=name,
         value=value,
@@ -688,8 +650,9 @@ def _parameter(
 
 def _constant_stderr(model: Model, part: str, key: str, value: float) -> float | None:
     """Of a constant, from the account that its value comes from; None where none is."""
-    for change in _rows(model.fit.get("discrepancy"), "base_changes"):
-        if change.get("name") == key and _same(change.get("to"), value):
+    for change in _list_in(model.fit.get("discrepancy"), "base_changes"):
+        is_it = isinstance(change, Mapping) and change.get("name") == key
+        if is_it and _same(change.get("to"), value):
             found = change.get("stderr")
             return float(found) if isinstance(found, int | float) else None
     return _stderr(model.fit.get(part), key, value)
@@ -715,15 +678,7 @@ def _same(one: Any, other: float) -> bool:
     return isinstance(one, int | float) and math.isclose(one, other, rel_tol=SAME)
 
 
-def _rows(account: Any, name: str) -> list[Mapping[str, Any]]:
-    rows = account.get(name) if isinstance(account, Mapping) else None
-    return [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
-
-
-def _warnings(model: Model) -> list[str]:
-    """What the fits said of themselves."""
-    found = []
-    for account in model.fit.values():
-        said = account.get("warnings") if isinstance(account, Mapping) else None
-        found += [printable(str(line)) for line in said] if isinstance(said, list) else []
-    return found
+def _list_in(account: Any, name: str) -> list[Any]:
+    """A list of an account, empty where it is not there or something else."""
+    found = account.get(name) if isinstance(account, Mapping) else None
+    return found if isinstance(found, list) else []

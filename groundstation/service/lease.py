@@ -1,4 +1,15 @@
-"""Who commands, and how a flight ends: stopped, landed, disarmed."""
+"""Who commands, and how a flight ends: stopped, landed, disarmed.
+
+Who ends a flight:
+- the operator's Stop, Land: ``Operator.stop``, ``Operator.land`` -> ``FlightEnd.stop``, ``land``;
+- the client itself: ``Commander.stop_own``, ``land_own`` -> ``FlightEnd.stop``, ``land_or_stop``;
+- the failsafe: ``Commander.look`` -> ``Leases.expire`` -> ``FlightEnd.end``: it lands or stops;
+- a lease given back, the daemon's end: ``Leases.leave`` -> ``FlightEnd.end``;
+- a person who disarms it: ``Operator.arm``; who stops a job: ``Jobs.end_flying``;
+- the program that flies: ``programme.reason_to_abort``, ``FlightWatch.reason``, and it asks this
+  daemon to land or to stop (``cli/flying.py``);
+- the firmware, by limits of its own: no setpoint, tumbled, locked.
+What is asked goes on in ``FlightEnd.look`` until the craft says that its motors stand."""
 
 from __future__ import annotations
 
@@ -8,7 +19,6 @@ import hmac
 import math
 import secrets
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -21,7 +31,6 @@ from groundstation.links.command import (
     CommandLink,
     CommandState,
     Landing,
-    is_software,
 )
 from groundstation.service import requests
 from groundstation.service.config import FailsafeConfig
@@ -68,121 +77,12 @@ class Stop:
     disarms: bool = False
     forced: int = 0
     stopped: bool | None = False
-    over: bool = False
+    is_done: bool = False
 
     @property
     def told(self) -> str:
         """What the craft has said of its motors so far: ``STOPPED`` where they stand."""
         return STOPPED if self.stopped else STILL_TURN if self.stopped is False else NOT_TOLD
-
-
-class Stopping:
-    """The stop of one craft's motors, where one was asked for, and the zero thrust after a flight.
-    Both stay with the craft that they began on.
-
-    motors: what the telemetry says of the motors of a craft, None where it does not. note: told
-    (kind, text). clock: monotonic, s.
-    """
-
-    def __init__(
-        self,
-        motors: Callable[[CommandLink], Motors | None],
-        note: Note,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._motors, self._note, self._clock = motors, note, clock
-        self._client = ""
-        self._stop: Stop | None = None
-        self._settling: CommandLink | None = None
-        self._zero_until_s = 0.0  # zero thrust is repeated until then
-
-    @property
-    def runs(self) -> bool:
-        """Whether motors were asked to stop and are not known to have done so."""
-        return self._stop is not None
-
-    def ask(self, link: CommandLink, client: str) -> Stop:
-        """Stop the motors of a craft, in the name of ``client``."""
-        now_s = self._clock()
-        self.settle(link, now_s, client)
-        self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
-        stop = self._stop
-        if stop is None or stop.link is not link:
-            # one that runs goes on: asked again and again it must not begin anew
-            stop = self._stop = Stop(link, now_s)
-        link.withdraw_arming()
-        send_level(link, 0, client)
-        with contextlib.suppress(LinkError):  # gone: its own limits stop it
-            # where motors have to be armed, they idle until they are disarmed
-            stop.disarms |= link.disarms_in_flight and link.arm(False)
-            cleared = link.clear_assists()
-            if cleared:
-                text = f"{', '.join(cleared)} set to 0: it would keep the motors running"
-                self._note("command", text)
-        return stop
-
-    def settle(self, link: CommandLink, now_s: float, client: str) -> None:
-        """A client that flew has asked for zero thrust: it goes on as long as the craft needs."""
-        self._settling, self._client = link, client
-        self._zero_until_s = now_s + link.settles_s
-
-    def cancel(self) -> None:
-        """Zero thrust need not go on: motors are to run, or the craft is left."""
-        self._settling, self._zero_until_s = None, 0.0
-
-    def goes_on(self, now_s: float) -> bool:
-        """Whether a stop is not known to be over, or zero thrust has to go on."""
-        return self.runs or self._settles(now_s)
-
-    def look(self, now_s: float, *, repeat: bool) -> None:
-        """Do what the time demands. repeat: whether nobody else sends setpoints."""
-        if self._settling is not None and repeat and self._settles(now_s):
-            send_level(self._settling, 0, self._client)
-        if self._stop is not None:
-            self._watch(self._stop, now_s)
-
-    def _settles(self, now_s: float) -> bool:
-        """Whether zero thrust has to go on: a craft that takes itself for flying is locked by its
-        firmware where setpoints cease."""
-        late_s, link = now_s - self._zero_until_s, self._settling
-        flies = link is not None and link.supervisor.flies
-        return link is not None and (late_s < 0.0 or (flies and late_s < FLIES_ON_S))
-
-    def _watch(self, stop: Stop, now_s: float) -> None:
-        """Say that motors have stopped when the craft says so, and not before."""
-        waited_s, said = now_s - stop.asked_s, self._motors(stop.link)
-        # when the craft said so, behind the request; what it said before tells nothing
-        said_s = -1.0 if said is None else waited_s - said.age_s
-        if said is not None and said_s > 0.0 and said.duty <= 0.0 and _is_disarmed(stop, waited_s):
-            self._note("command", f"motors stopped, {waited_s:.2f} s after they were asked to")
-            self._end(stop, stopped=True)
-        elif waited_s > max(said_s, 0.0) + UNSEEN_S:
-            self._note("fault", NOT_TOLD)
-            self._end(stop, stopped=None)
-        elif said_s > STILL_S * (stop.forced + 1):
-            stop.forced += 1
-            self._settling = stop.link
-            self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
-            self._note("fault", f"{STILL_TURN}: {_forced(stop)}")
-
-    def give_up(self) -> None:
-        """The craft is left: nobody hears any more what becomes of its motors."""
-        self.cancel()
-        if self._stop is not None:
-            self._end(self._stop, stopped=None)
-
-    def _end(self, stop: Stop, *, stopped: bool | None) -> None:
-        self._stop, stop.stopped, stop.over = None, stopped, True
-
-
-async def outcome(stop: Stop) -> str:
-    """What the craft says of motors that were asked to stop, in words, as soon as it does and after
-    ``SEEN_S`` at the latest: ``STOPPED`` where they stand."""
-    loop = asyncio.get_running_loop()
-    end_s = loop.time() + SEEN_S
-    while not stop.over and loop.time() < end_s:
-        await asyncio.sleep(LOOK_S)
-    return stop.told
 
 
 def _is_disarmed(stop: Stop, waited_s: float) -> bool:
@@ -264,7 +164,7 @@ class Descent:
 
     @property
     def is_done(self) -> bool:
-        return self.over and (self.stop is None or self.stop.over)
+        return self.over and (self.stop is None or self.stop.is_done)
 
     @property
     def told(self) -> str:
@@ -272,70 +172,6 @@ class Descent:
         if self.stop is None:
             return NOT_TOLD if self.over else LANDS
         return LANDED if self.landed and self.stop.told == STOPPED else self.stop.told
-
-
-class Lander:
-    """The landing of one craft at a time. Who uses it holds a lock.
-
-    note: told (kind, text). stop: stops the motors of a craft in the name of a client. clock:
-    monotonic, s.
-    """
-
-    def __init__(
-        self,
-        note: Note,
-        stop: Callable[[CommandLink, str], Stop],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._note, self._stop, self._clock = note, stop, clock
-        self._present: Descent | None = None
-
-    @property
-    def runs(self) -> bool:
-        return self._present is not None
-
-    @property
-    def present(self) -> Descent | None:
-        """The landing that goes on."""
-        return self._present
-
-    def begin(self, link: CommandLink, client: str, height_m: float | None) -> Descent:
-        """Land a craft that flies, of which ``refusal`` says nothing. height_m: that it was asked
-        for last."""
-        now_s, place = self._clock(), link.supervisor.place
-        measured_m = None if place is None else place.z_m
-        descent = Descent(link, client, now_s, Landing(now_s, height_m, measured_m))
-        self._present = descent
-        self._note("landing", f"{LANDS}: level, motors off at the ground")
-        self.look(now_s)
-        return descent
-
-    def cancel(self, stop: Stop | None = None) -> None:
-        """It ends here: motors are being stopped instead."""
-        descent, self._present = self._present, None
-        if descent is not None:
-            descent.stop, descent.over = stop, True
-
-    def look(self, now_s: float) -> None:
-        """Send what the time demands, or end it."""
-        descent = self._present
-        if descent is None:
-            return
-        link = descent.link
-        place = link.supervisor.place
-        begun_s = now_s - descent.begun_s
-        if trouble := refusal(link, now_s, waits=begun_s < GRACE_S):
-            self._note("fault", f"{trouble}: it cannot be landed, its motors are asked to stop")
-        else:
-            said = {} if place is None else {"measured_m": place.z_m, "climb_m_s": place.vz_m_s}
-            height_m = descent.landing.tick(now_s, **said)
-            if height_m is not None:
-                send_level(link, 0, descent.client, height_m, hovers=link.holds_place)
-                return
-            descent.landed = True
-            self._note("landing", f"the craft has landed: {descent.landing.over}")
-        self._present = None
-        descent.stop, descent.over = self._stop(link, descent.client), True
 
 
 def refusal(link: CommandLink, now_s: float, *, waits: bool = False) -> str:
@@ -352,14 +188,14 @@ def refusal(link: CommandLink, now_s: float, *, waits: bool = False) -> str:
     return ""
 
 
-async def outcome_of(descent: Descent) -> str:
-    """What became of a landing, in words, as soon as that is known: ``LANDED``, or what the craft
-    says of its motors."""
+async def outcome(ended: Stop | Descent) -> str:
+    """What became of motors that were asked to stop, or of a landing, in words, as soon as that is
+    known and in bounded time: ``LANDED``, or what the craft says of its motors."""
     loop = asyncio.get_running_loop()
-    end_s = loop.time() + LONGEST_S + SEEN_S
-    while not descent.is_done and loop.time() < end_s:
+    end_s = loop.time() + SEEN_S + (LONGEST_S if isinstance(ended, Descent) else 0.0)
+    while not ended.is_done and loop.time() < end_s:
         await asyncio.sleep(LOOK_S)
-    return descent.told
+    return ended.told
 
 
 # One client's right to command, and whose it is at the moment.
@@ -511,24 +347,6 @@ class Leases:
         self._note(kind, text)
 
 
-def granted(lease: Lease, link: CommandLink, limits: FailsafeConfig, stops: int) -> requests.Lease:
-    """What the client of a new lease is told."""
-    return requests.Lease(
-        token=lease.token,
-        stops=stops,
-        lease_s=limits.lease_s,
-        level_s=limits.level_s,
-        stop_s=limits.stop_s,
-        uri=link.uri,
-        state=link.state.value,
-        firmware=link.firmware,
-        holds_height=link.holds_height,
-        holds_place=link.holds_place,
-        software=is_software(link.uri),
-        craft=identity_of(link),
-    )
-
-
 def identity_of(link: CommandLink) -> requests.CraftIdentity:
     """Which craft it is, as far as it says so."""
     return requests.CraftIdentity(
@@ -662,7 +480,8 @@ nobody knows where a craft is that fell. A daemon that stood still comes so late
 
 
 class FlightEnd:
-    """The landing and the stop that go on. Who uses it holds a lock.
+    """The stop, the landing and the zero thrust after a flight, each of one craft at a time: they
+    stay with the craft that they began on. Who uses it holds a lock.
 
     motors: what the telemetry says of the motors of a craft, None where it does not. note: told
     (kind, text). asking: what is asked of the craft besides, which a stop ends. clock: monotonic,
@@ -676,17 +495,26 @@ class FlightEnd:
         asking: Asking,
         clock: Callable[[], float],
     ) -> None:
-        self.stopping = Stopping(motors, note, clock)
-        self.lander = Lander(note, self.stopping.ask, clock)
-        self._note, self._asking, self._clock = note, asking, clock
-        self._motors, self.held, self._begun_s = motors, "", -math.inf
+        self._motors, self._note, self._asking, self._clock = motors, note, asking, clock
+        self.held, self._begun_s = "", -math.inf
+        self._stop: Stop | None = None  # of motors that are not known to have stopped
+        self._descent: Descent | None = None  # that goes on
+        self._settling: CommandLink | None = None  # gets zero thrust, in the name of ``_client``
+        self._client, self._zero_until_s = "", 0.0
+
+    # -- what goes on ----------------------------------------------------------------------
+
+    @property
+    def lands(self) -> bool:
+        """Whether a craft is being landed."""
+        return self._descent is not None
 
     @property
     def doing(self) -> str:
         """What is going on, in words, or empty."""
-        if self.lander.runs:
+        if self.lands:
             return LANDS
-        return "the motors are being stopped" if self.stopping.runs else self.held
+        return self.held if self._stop is None else "the motors are being stopped"
 
     def begun(self) -> None:
         """Motors are asked to turn."""
@@ -694,7 +522,7 @@ class FlightEnd:
 
     def drives(self, link: CommandLink | None) -> bool:
         """Whether the craft says that its motors turn, and nobody lands it."""
-        return link is not None and self._duty(link) > 0.0 and not self.lander.runs
+        return link is not None and self._duty(link) > 0.0 and not self.lands
 
     def turns(self, link: CommandLink) -> bool:
         """Whether motors turn, as far as the craft says."""
@@ -710,7 +538,7 @@ class FlightEnd:
         said = self._motors(link)
         stands = said is not None and said.age_s <= FRESH_S and said.duty == 0.0
         late = self._clock() - self._begun_s < RESTS_S
-        goes_on = link.supervisor.flies or self.lander.runs or self.stopping.runs
+        goes_on = link.supervisor.flies or self.lands or self._stop is not None
         return stands and not (late or goes_on)
 
     def require_none(self, refused: str) -> None:
@@ -719,22 +547,54 @@ class FlightEnd:
             raise TakenError(f"{self.doing}: {refused}")
 
     def goes_on(self, now_s: float) -> bool:
-        """Whether one is not over, or zero thrust has to go on."""
-        return self.lander.runs or self.stopping.goes_on(now_s)
+        """Whether one is not known to be over, or zero thrust has to go on."""
+        return self.lands or self._stop is not None or self._settles(now_s)
 
-    def look(self, now_s: float, *, repeat: bool) -> None:
-        """Do what the time demands. repeat: whether nobody else sends setpoints."""
-        self.lander.look(now_s)
-        self.stopping.look(now_s, repeat=repeat and not self.lander.runs)
+    def _settles(self, now_s: float) -> bool:
+        """Whether zero thrust has to go on: a craft that takes itself for flying is locked by its
+        firmware where setpoints cease."""
+        late_s, link = now_s - self._zero_until_s, self._settling
+        flies = link is not None and link.supervisor.flies
+        return link is not None and (late_s < 0.0 or (flies and late_s < FLIES_ON_S))
+
+    # -- what is asked for -----------------------------------------------------------------
+
+    def settle(self, link: CommandLink, now_s: float, client: str) -> None:
+        """A client that flew has asked for zero thrust: it goes on as long as the craft needs."""
+        self._settling, self._client = link, client
+        self._zero_until_s = now_s + link.settles_s
+
+    def cancel_zero(self) -> None:
+        """Zero thrust need not go on: motors are to run, or the craft is left."""
+        self._settling, self._zero_until_s = None, 0.0
 
     def stop(self, link: CommandLink, lease: Lease | None, client: str) -> Stop:
         """Stop the motors at once, in the name of ``client``; lease: that in force."""
         self._asking.end()
-        stop = self.stopping.ask(link, client)
-        self.lander.cancel(stop)
+        stop = self._ask_to_stop(link, client)
+        self._end_descent(stop)
         if lease is not None:
             lease.set_down()
             lease.stop, lease.descent = stop, None
+        return stop
+
+    def _ask_to_stop(self, link: CommandLink, client: str) -> Stop:
+        now_s = self._clock()
+        self.settle(link, now_s, client)
+        self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
+        stop = self._stop
+        if stop is None or stop.link is not link:
+            # one that runs goes on: asked again and again it must not begin anew
+            stop = self._stop = Stop(link, now_s)
+        link.withdraw_arming()
+        send_level(link, 0, client)
+        with contextlib.suppress(LinkError):  # gone: its own limits stop it
+            # where motors have to be armed, they idle until they are disarmed
+            stop.disarms |= link.disarms_in_flight and link.arm(False)
+            cleared = link.clear_assists()
+            if cleared:
+                text = f"{', '.join(cleared)} set to 0: it would keep the motors running"
+                self._note("command", text)
         return stop
 
     def land(self, link: CommandLink, lease: Lease | None, client: str) -> Descent | Stop:
@@ -744,17 +604,21 @@ class FlightEnd:
 
         Raises BadInputError where it cannot be landed, TakenError while its motors are being
         stopped."""
-        descent = self.lander.present
+        descent = self._descent
         if descent is None:
-            if self.stopping.runs:
+            if self._stop is not None:
                 raise TakenError("the motors are being stopped: there is nothing to land")
             if trouble := refusal(link, self._clock()):
                 raise BadInputError(f"{trouble}: it cannot be landed, its motors can be stopped")
             if lease is None or not lease.flies:
                 return self.stop(link, lease, client)
             self._asking.end()
-            self.stopping.cancel()
-            descent = self.lander.begin(link, client, lease.height_m)
+            self.cancel_zero()
+            now_s, place = self._clock(), link.supervisor.place
+            landing = Landing(now_s, lease.height_m, None if place is None else place.z_m)
+            descent = self._descent = Descent(link, client, now_s, landing)
+            self._note("landing", f"{LANDS}: level, motors off at the ground")
+            self._look_after(descent, now_s)
         if lease is not None:
             lease.set_down()
             lease.descent = descent
@@ -770,11 +634,6 @@ class FlightEnd:
         except TakenError:  # they are being stopped
             lease.descent = None
 
-    def give_up(self) -> None:
-        """The craft is left: who waits for what becomes of it is told that nobody knows."""
-        self.lander.cancel()
-        self.stopping.give_up()
-
     def end(self, link: CommandLink | None, lease: Lease, client: str) -> bool:
         """End what runs for a lease that is over; whether the craft is landed."""
         if link is None:
@@ -782,9 +641,70 @@ class FlightEnd:
         if lease.descent is not None and not lease.descent.over:
             return True
         now_s = self._clock()
-        is_late = now_s - lease.setpoint_s > LATE_S
-        if lease.flies and not (is_late or self.stopping.runs or refusal(link, now_s, waits=True)):
+        lands = lease.flies and now_s - lease.setpoint_s <= LATE_S and self._stop is None
+        if lands and not refusal(link, now_s, waits=True):
             self.land(link, lease, client)
             return True
         self.stop(link, lease, client)
         return False
+
+    def give_up(self) -> None:
+        """The craft is left: who waits for what becomes of it is told that nobody knows."""
+        self._end_descent(None)
+        self.cancel_zero()
+        if self._stop is not None:
+            self._end_stop(self._stop, stopped=None)
+
+    # -- what the time demands -------------------------------------------------------------
+
+    def look(self, now_s: float, *, repeat: bool) -> None:
+        """Do what the time demands. repeat: whether nobody else sends setpoints."""
+        if self._descent is not None:
+            self._look_after(self._descent, now_s)
+        if self._settling is not None and repeat and not self.lands and self._settles(now_s):
+            send_level(self._settling, 0, self._client)
+        if self._stop is not None:
+            self._watch(self._stop, now_s)
+
+    def _look_after(self, descent: Descent, now_s: float) -> None:
+        """Send the next height of a landing, or end it."""
+        link = descent.link
+        place = link.supervisor.place
+        if trouble := refusal(link, now_s, waits=now_s - descent.begun_s < GRACE_S):
+            self._note("fault", f"{trouble}: it cannot be landed, its motors are asked to stop")
+        else:
+            said = {} if place is None else {"measured_m": place.z_m, "climb_m_s": place.vz_m_s}
+            height_m = descent.landing.tick(now_s, **said)
+            if height_m is not None:
+                send_level(link, 0, descent.client, height_m, hovers=link.holds_place)
+                return
+            descent.landed = True
+            self._note("landing", f"the craft has landed: {descent.landing.over}")
+        self._descent = None
+        descent.stop, descent.over = self._ask_to_stop(link, descent.client), True
+
+    def _end_descent(self, stop: Stop | None) -> None:
+        """A landing ends here; stop: of the motors, which are being stopped."""
+        descent, self._descent = self._descent, None
+        if descent is not None:
+            descent.stop, descent.over = stop, True
+
+    def _watch(self, stop: Stop, now_s: float) -> None:
+        """Say that motors have stopped when the craft says so, and not before."""
+        waited_s, said = now_s - stop.asked_s, self._motors(stop.link)
+        # when the craft said so, behind the request; what it said before tells nothing
+        said_s = -1.0 if said is None else waited_s - said.age_s
+        if said is not None and said_s > 0.0 and said.duty <= 0.0 and _is_disarmed(stop, waited_s):
+            self._note("command", f"motors stopped, {waited_s:.2f} s after they were asked to")
+            self._end_stop(stop, stopped=True)
+        elif waited_s > max(said_s, 0.0) + UNSEEN_S:
+            self._note("fault", NOT_TOLD)
+            self._end_stop(stop, stopped=None)
+        elif said_s > STILL_S * (stop.forced + 1):
+            stop.forced += 1
+            self._settling = stop.link
+            self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
+            self._note("fault", f"{STILL_TURN}: {_forced(stop)}")
+
+    def _end_stop(self, stop: Stop, *, stopped: bool | None) -> None:
+        self._stop, stop.stopped, stop.is_done = None, stopped, True

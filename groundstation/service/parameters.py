@@ -10,16 +10,7 @@ import os
 import struct
 import threading
 import time
-from collections.abc import (
-    AsyncIterator,
-    Awaitable,
-    Callable,
-    Iterable,
-    Iterator,
-    Mapping,
-    Sequence,
-)
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -82,7 +73,8 @@ class CommandConnection:
         told = ""
         while True:
             link = self.link
-            if link is not None and wanted() and _is_away(link):
+            away = CommandState.CLOSED, CommandState.LOST
+            if link is not None and wanted() and link.state in away:
                 try:
                     async with self._connecting:
                         if link is self.link:
@@ -101,10 +93,6 @@ class CommandConnection:
         async with self._connecting:
             if link is not None:
                 await link.close()
-
-
-def _is_away(link: CommandLink) -> bool:
-    return link.state in (CommandState.CLOSED, CommandState.LOST)
 
 
 # What clients wrote to crafts and nobody has settled yet, on disk before it is sent: neither a
@@ -228,19 +216,17 @@ class Changes:
                     if self._trouble:
                         raise BadInputError(self._trouble)
                     crafts = self._crafts | {craft: change(dict(self._crafts.get(craft, {})))}
-                    self._write({name: changes for name, changes in crafts.items() if changes})
+                    crafts = {name: changes for name, changes in crafts.items() if changes}
+                    if crafts:
+                        write_whole(self.path, msgspec.json.encode(crafts), durable=True)
+                    else:
+                        self.path.unlink(missing_ok=True)
+                    self._read()
             except OSError as error:
                 raise BadInputError(
                     f"{self.path}: cannot be written ({error.strerror}): nobody would know what was"
                     " changed on the craft"
                 ) from error
-
-    def _write(self, crafts: Crafts) -> None:
-        if crafts:
-            write_whole(self.path, msgspec.json.encode(crafts), durable=True)
-        else:
-            self.path.unlink(missing_ok=True)
-        self._read()
 
     def _read(self) -> None:
         """Where it is another content than before."""
@@ -299,7 +285,8 @@ class Parameters:
         self.changes = changes
         self._note = note
         self.turn = asyncio.Lock()  # to write
-        self._unsure: set[str] = set()  # names that the craft did not confirm, on this connection
+        self.unsure: set[str] = set()
+        """Names that the craft did not confirm, on this connection."""
         self._told = ""  # of which craft it was said that values are to be written back
         self._restored: dict[str, dict[str, float]] = {}
 
@@ -318,15 +305,16 @@ class Parameters:
         async with self.turn:
             present, who = link.parameters(), {"client": lease.client, "uri": link.uri}
             await in_background(lambda: self.changes.note(lease.craft, values, present, **who))
-            confirmed = {}
+            confirmed, restored = {}, self._restored.get(lease.craft, {})
             for name, value in values.items():
+                restored.pop(name, None)
                 if not is_in_force():
                     raise NotAuthorisedError(
                         f"the lease is over; {name} and what comes after it was not written"
                     )
-                self._unsure.add(name)
+                self.unsure.add(name)
                 confirmed[name] = await link.write_parameter(name, value, client=lease.client)
-                self._unsure.discard(name)
+                self.unsure.discard(name)
                 heard()
         return confirmed
 
@@ -349,7 +337,7 @@ class Parameters:
         return {
             name: (one, present[name])
             for name, one in changes.items()
-            if one.is_on(present.get(name)) or (name in self._unsure and name in present)
+            if one.is_on(present.get(name)) or (name in self.unsure and name in present)
         }
 
     def require_restored(self, link: CommandLink) -> None:
@@ -382,44 +370,16 @@ class Parameters:
                 self._note(RESTORES, f"{who} left {listed(list(left))} unproven on the craft")
             for name, (change, _) in left.items():
                 await link.write_parameter(name, change.former, client=RESTORES)
-                self._unsure.discard(name)
+                self.unsure.discard(name)
                 self._restored.setdefault(craft, {})[name] = change.former
                 await in_background(partial(self.changes.settle, craft, [name]))
             self._told = ""
             said = [f"{name} {change.former:g}" for name, (change, _) in left.items()]
             self._note(RESTORES, f"the former values are back: {listed(said)}")
 
-    async def keep_restored(
-        self,
-        link: Callable[[], CommandLink | None],
-        stands: Callable[[CommandLink], bool],
-        look: Callable[[CommandLink, Callable[[CommandLink], bool]], Awaitable[None]],
-    ) -> None:
-        """Write back what has to be, as soon as there is a craft that stands and that nobody
-        commands, and then have a ``look`` at it; for as long as the daemon runs."""
-        wait_s, told = AGAIN_S, False
-        while True:
-            await asyncio.sleep(LOOKS_S)
-            craft = link()
-            if craft is None or craft.state is not CommandState.CONNECTED:
-                self._unsure.clear()  # they are read anew
-                wait_s, told = AGAIN_S, False
-                continue
-            if not stands(craft):
-                continue
-            try:
-                await self.restore(craft)
-                await look(craft, stands)
-                wait_s, told = AGAIN_S, False
-            except GroundStationError as error:
-                if not told:
-                    self._note("fault", f"former parameters could not be written back: {error}")
-                told = True
-                await asyncio.sleep(wait_s)
-                wait_s = min(2.0 * wait_s, AGAIN_MOST_S)
-
     def restored(self, link: CommandLink) -> dict[str, float]:
-        """What was written back to this craft since the daemon began."""
+        """What was written back to this craft since the daemon began, and that nobody has written
+        again."""
         return dict(self._restored.get(craft_of(link), {}))
 
 
@@ -474,41 +434,51 @@ class StoredParameters:
         names: none for every gain that a power cycle would change. What is kept is no longer to be
         put back. Raises BadInputError for a craft or a parameter that cannot, TakenError while
         motors turn, LinkError where the craft does not confirm one."""
-        async with self._storing(token, names) as (lease, link, storage):
-            present, done = link.parameters(), list[str]()
-            meant = names or [name for name in storage.numbers if name.startswith(GAINS)]
-            try:
-                for name in meant:
-                    self._require(token)
-                    state = await storage.read(name)
-                    kept = state.loaded if not names else state.stored
-                    if kept is None or not math.isclose(kept, present[name], rel_tol=1e-6):
-                        self._require(token)
-                        await storage.store(name, present[name])
-                        done.append(name)
-            except GroundStationError as error:
-                raise self._half("stored", done, error) from error
-            settle = partial(self._written.changes.settle, craft_of(link), meant)
-            await in_background(settle)
-        said = [f"{name} {present[name]:g}" for name in done]
-        self._tell(lease, "has stored", said)
-        return self._states(link, storage)
+        return await self._change(token, names, clears=False)
 
     async def clear(self, token: str, names: Sequence[str]) -> dict[str, StoredParameter]:
         """Have the craft forget what it has stored of parameters, none: of all gains. Their values
         stay until it is switched off. Raises as ``store``."""
-        async with self._storing(token, names) as (lease, link, storage):
-            done = list[str]()
+        return await self._change(token, names, clears=True)
+
+    async def _change(
+        self, token: str, names: Sequence[str], *, clears: bool
+    ) -> dict[str, StoredParameter]:
+        lease, link = self._leased(token)
+        storage = _storage_of(link)
+        for name in names:
+            storage.require(name)
+        done = list[str]()
+        async with self._written.turn:
+            await self._landed(token)
+            self._end.held = "parameters are being stored"  # no motor may begin
             try:
-                for name in names or [one for one in storage.numbers if one.startswith(GAINS)]:
+                present = link.parameters()
+                meant = names or [name for name in storage.numbers if name.startswith(GAINS)]
+                for name in meant:
                     self._require(token)
-                    if (await storage.read(name)).stored is not None:
+                    state = await storage.read(name)
+                    if clears and state.stored is not None:
                         self._require(token)
                         await storage.clear(name)
                         done.append(name)
+                    kept = state.stored if names else state.loaded
+                    if not (clears or _is_same(kept, present[name])):
+                        self._require(token)
+                        await storage.store(name, present[name])
+                        done.append(name)
             except GroundStationError as error:
-                raise self._half("cleared", done, error) from error
-        self._tell(lease, "has cleared the stored", done)
+                raise self._half("cleared" if clears else "stored", done, error) from error
+            else:
+                if not clears:
+                    settle = partial(self._written.changes.settle, craft_of(link), meant)
+                    await in_background(settle)
+            finally:
+                self._end.held = ""
+        if done:
+            does = "has cleared the stored" if clears else "has stored"
+            said = done if clears else [f"{name} {present[name]:g}" for name in done]
+            self._note(STORES, f"{lease.client} {does} {listed(said)} on the craft")
         return self._states(link, storage)
 
     async def states(self) -> dict[str, StoredParameter]:
@@ -544,23 +514,6 @@ class StoredParameters:
         """What is stored, as far as it was read, by full name."""
         states = {} if link.storage is None else link.storage.states
         return {name: one.stored for name, one in states.items() if one.stored is not None}
-
-    @asynccontextmanager
-    async def _storing(
-        self, token: str, names: Sequence[str]
-    ) -> AsyncIterator[tuple[Lease, CommandLink, ParameterStorage]]:
-        """While nothing else is written, and no motor may begin."""
-        lease, link = self._leased(token)
-        storage = _storage_of(link)
-        for name in names:
-            storage.require(name)
-        async with self._written.turn:
-            await self._landed(token)
-            self._end.held = "parameters are being stored"
-            try:
-                yield lease, link, storage
-            finally:
-                self._end.held = ""
 
     async def _landed(self, token: str) -> None:
         """Wait for a craft whose motors do not turn to say so, and to call itself landed. Raises as
@@ -609,9 +562,9 @@ class StoredParameters:
         self._note("fault", text)
         return type(error)(text)
 
-    def _tell(self, lease: Lease, does: str, what: list[str]) -> None:
-        if what:
-            self._note(STORES, f"{lease.client} {does} {listed(what)} on the craft")
+
+def _is_same(kept: float | None, present: float) -> bool:
+    return kept is not None and math.isclose(kept, present, rel_tol=1e-6)
 
 
 def _storage_of(link: CommandLink) -> ParameterStorage:

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.links.command import HostClock, LinkEvent, steady_clock
 from groundstation.paths import dated
-from groundstation.recording.mcap_file import session_metadata
+from groundstation.recording.mcap_file import McapRecorder, RecorderStatus, session_metadata
 from groundstation.recording.mcap_scan import catalogue
-from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
 from groundstation.service.config import MEBIBYTE, RecordingConfig
 from groundstation.telemetry.decoder import LinkStatistics
 from groundstation.telemetry.samples import LogTable, RawBatch, SampleBatch
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
 OUR_NAME = re.compile(r"\d{4}-\d\d-\d\dT\d\d-\d\d-\d\d-\d{3}Z_[a-z-]+\.mcap")
 """What ``Sessions`` calls its files: they sort by time, also where the clock was set back."""
+NOTHING_RECORDED = "nothing is being recorded; 'groundstation record start' begins a recording"
 
 
 class Sessions:
@@ -96,9 +96,7 @@ class Sessions:
     def require_started(self) -> None:
         """Raises BadInputError when there is nothing to stop."""
         if self._recorder is None:
-            raise BadInputError(
-                "nothing is being recorded; 'groundstation record start' begins a recording"
-            )
+            raise BadInputError(NOTHING_RECORDED)
 
     def present(self) -> list[Path]:
         """Files that are being written or finished."""
@@ -263,9 +261,7 @@ class RecordingManager:
     def require_recording(self) -> None:
         """Raises BadInputError where a mark would not be recorded."""
         if self.sessions.status()["state"] != "recording":
-            raise BadInputError(
-                "nothing is being recorded; 'groundstation record start' begins a recording"
-            )
+            raise BadInputError(NOTHING_RECORDED)
 
     def entries(self) -> list[dict[str, Any]]:
         """The folder's recordings. Reads files: not for the event loop."""
@@ -304,10 +300,12 @@ class RecordingManager:
                     await self._retain()
 
     async def _look_after(self) -> None:
-        status = self.sessions.status()
+        status, config = self.sessions.status(), self._config
+        by_size = 0 < config.rotate_mb * MEBIBYTE <= status["bytes"]
+        by_time = 0 < config.rotate_minutes * 60.0 <= time.monotonic() - self._began_s
         if status["state"] != "recording":
             await self._resume(status["state"])
-        elif self._is_due(status["bytes"]):
+        elif by_size or by_time:
             recorder = await self._next("recording cannot go on in a new file")
             if recorder is None:
                 return
@@ -362,12 +360,6 @@ class RecordingManager:
         self._began_s = time.monotonic()
         self._retry_s, self._retry_at_s, self._told = RESUME_FIRST_S, 0.0, ""
         return self.sessions.install(recorder)
-
-    def _is_due(self, size: int) -> bool:
-        config = self._config
-        by_size = 0 < config.rotate_mb * MEBIBYTE <= size
-        age_s = time.monotonic() - self._began_s
-        return by_size or 0 < config.rotate_minutes * 60.0 <= age_s
 
     async def _resume(self, state: str) -> None:
         """Go on after a fault, once it can work."""

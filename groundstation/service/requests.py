@@ -39,6 +39,13 @@ class Holder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     token: Token
 
 
+class Release(Holder, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """content: parameters that were written stay; otherwise their former values are written
+    back."""
+
+    content: bool = True
+
+
 class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """on: arm the motors; otherwise disarm them."""
 
@@ -212,7 +219,7 @@ class Telemetry(msgspec.Struct, frozen=True, kw_only=True):
 class Place(msgspec.Struct, frozen=True, kw_only=True):
     """Where a craft is by its own account: position and velocity in the world frame of its
     estimator, whose origin is where it was switched on or what its positioning system says. age_s:
-    since it said so."""
+    since that came. at_s: when the craft said so, by its own clock; null where nobody knows."""
 
     x_m: float
     y_m: float
@@ -221,6 +228,7 @@ class Place(msgspec.Struct, frozen=True, kw_only=True):
     vy_m_s: float
     vz_m_s: float
     age_s: float
+    at_s: float | None
 
 
 class Sent(msgspec.Struct, frozen=True, kw_only=True):

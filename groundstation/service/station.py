@@ -24,7 +24,6 @@ import msgspec
 import numpy as np
 
 from groundstation.allocator import give_back
-from groundstation.links.base import Link
 from groundstation.links.command import LinkEvent, steady_clock
 from groundstation.service.commander import Commander
 from groundstation.service.config import MEBIBYTE, Config, require_sense, socket_path
@@ -139,7 +138,8 @@ class Witness:
         before = earlier[-1] if earlier else self._figures[0]
         # it may still be about to wake
         witness_s = self._late_s + max(after.time_s - self._asleep_s - POLL_S, 0.0)
-        text = explained(late_s, before, after, self._native, dict(self._seen), witness_s, _names())
+        names = {one.native_id: one.name for one in threading.enumerate() if one.native_id}
+        text = explained(late_s, before, after, self._native, dict(self._seen), witness_s, names)
         read = _page_faults() - self._faults
         return f"{text}; {read} pages of memory were read from the disk" if read else text
 
@@ -231,10 +231,6 @@ def _named(frame: FrameType) -> str:
 def _page_faults() -> int:
     """Of this thread, those for which a disk was read."""
     return resource.getrusage(resource.RUSAGE_THREAD).ru_majflt
-
-
-def _names() -> dict[int, str]:
-    return {one.native_id: one.name for one in threading.enumerate() if one.native_id}
 
 
 # Whether the daemon does what it is there for, measured, with reasons where it does not.
@@ -396,7 +392,7 @@ class TaskCount:
     restarts: int = 0
 
 
-class Supervisor:
+class TaskSupervisor:
     """Runs tasks until ``close``. fault: told (text, name) of each failure."""
 
     def __init__(self, fault: Callable[[str, str], None]) -> None:
@@ -490,7 +486,17 @@ class Station:
         self.journal = Journal(clock, self._is_repetition)
         name, port = config.link.name, config.command
         link = telemetry_link(config, name, self.journal, clock, on_table=self._note, port=port)
-        self.commander = self._commanding(link)
+        self.commander = Commander(
+            command_link(config, link, clock),
+            config.failsafe,
+            note=lambda kind, text: self._in_the_loop(
+                lambda: self.journal.note(kind, text, source=self.craft.command_uri or "command")
+            ),
+            telemetry=lambda: (self.receiver.state, self.craft.no_craft()),
+            changes=Changes(changes_path()),
+            contradiction=partial(contradiction, config.vehicle),
+            motors=lambda link: self.newest.motors() if self.craft.is_heard(link) else None,
+        )
         self.receiver = Receiver(
             link,
             self.journal,
@@ -504,15 +510,37 @@ class Station:
         self.craft = CraftLinks(config, self.journal, clock, *ends, on_entry=self._take_command)
         self.newest = Newest(self.receiver.now_ns)
         self.stream = Stream()
-        self.sessions = self._recorded()
+        recorded = config.recording
+        self.sessions = Sessions(
+            Path(recorded.folder),
+            {
+                "vehicle": self.craft.metadata,
+                "configuration": {  # never what a stand-in hides
+                    "link": name,
+                    "speed": str(config.link.speed),
+                    "command": config.command,
+                    "recording": json.dumps(msgspec.to_builtins(recorded)),
+                },
+            },
+            low_space_bytes=round(recorded.low_space_mb * MEBIBYTE),
+            on_fault=self._recorder_fault,
+            clock=clock,
+        )
         self.recordings = RecordingManager(
             self.sessions,
-            config.recording,
+            recorded,
             link=lambda: self.receiver.link.name,
             settle=self.receiver.settle,
             note=self._noting("recorder"),
         )
-        self.viewer = self._shown()
+        self.viewer = Viewer(
+            ViewerMode(config.viewer.mode),
+            port=config.viewer.port,
+            web_port=config.viewer.web_port,
+            twin=bool(config.twin.model),
+            tables=bool(config.radio.log),
+            on_event=self._noting("viewer"),
+        )
         socket = socket_path(config.control.socket)
         self.page = PageService(config.page, socket)
         self.jobs = Jobs(
@@ -529,7 +557,7 @@ class Station:
             note=self._noting(SOURCE),
             show=self._note,
         )
-        self.supervisor = Supervisor(lambda text, name: self.journal.fault(text, source=name))
+        self.supervisor = TaskSupervisor(lambda text, name: self.journal.fault(text, source=name))
         self.health = Health(self._noting("daemon"))
         self._consumers: tuple[Consumer, ...] = (self.twin, self.sessions, self.viewer, self.stream)
         self.journal.listeners.append(self._note)
@@ -537,43 +565,6 @@ class Station:
         self._stopping = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = 0  # that the loop runs in
-
-    def _commanding(self, link: Link) -> Commander:
-        return Commander(
-            command_link(self.config, link, self.clock),
-            self.config.failsafe,
-            note=lambda kind, text: self._in_the_loop(
-                lambda: self.journal.note(kind, text, source=self.craft.command_uri or "command")
-            ),
-            telemetry=lambda: (self.receiver.state, self.craft.no_craft()),
-            changes=Changes(changes_path()),
-            contradiction=partial(contradiction, self.config.vehicle),
-            motors=lambda link: self.newest.motors() if self.craft.is_heard(link) else None,
-        )
-
-    def _recorded(self) -> Sessions:
-        recording = self.config.recording
-        return Sessions(
-            Path(recording.folder),
-            {
-                "vehicle": self.craft.metadata,
-                "configuration": _recorded_configuration(self.config),
-            },
-            low_space_bytes=round(recording.low_space_mb * MEBIBYTE),
-            on_fault=self._recorder_fault,
-            clock=self.clock,
-        )
-
-    def _shown(self) -> Viewer:
-        config = self.config
-        return Viewer(
-            ViewerMode(config.viewer.mode),
-            port=config.viewer.port,
-            web_port=config.viewer.web_port,
-            twin=bool(config.twin.model),
-            tables=bool(config.radio.log),
-            on_event=self._noting("viewer"),
-        )
 
     def stop(self) -> None:
         """Ask ``run`` to finish."""
@@ -652,7 +643,6 @@ class Station:
         return lambda kind, text: self.journal.note(kind, text, source=source)
 
     def _is_repetition(self, source: str, kind: str) -> bool:
-        """While a device is waited for, another attempt is no news."""
         return self.receiver.is_repetition(source, kind)
 
     def _unexpected(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -733,13 +723,3 @@ class Station:
         statistics = self.receiver.close_window(self.statistics)
         self.statistics = statistics
         self._note(statistics)
-
-
-def _recorded_configuration(config: Config) -> dict[str, str]:
-    """What a recording says of the configuration: never what a stand-in hides."""
-    return {
-        "link": config.link.name,
-        "speed": str(config.link.speed),
-        "command": config.command,
-        "recording": json.dumps(msgspec.to_builtins(config.recording)),
-    }

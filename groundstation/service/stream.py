@@ -56,7 +56,9 @@ class Subscriber:
         self._batches.append(batch)
         self._rows += len(batch)
         while self._rows > ROWS_MOST and len(self._batches) > 1:
-            self._forget(self._batches.popleft())
+            oldest = self._batches.popleft()
+            self._rows -= len(oldest)
+            self.dropped += len(oldest)
         if self._rows > ROWS_MOST:
             newest = self._batches.pop()[-ROWS_MOST:]
             self.dropped += self._rows - len(newest)
@@ -97,10 +99,6 @@ class Subscriber:
                 more_columns = {"at_s": self._at_s, "dropped": self.dropped}
                 yield _event("samples", {**columns(batch), **more_columns})
             await asyncio.sleep(self._period_s)
-
-    def _forget(self, batch: SampleBatch) -> None:
-        self._rows -= len(batch)
-        self.dropped += len(batch)
 
 
 class Stream:

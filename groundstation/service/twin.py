@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from groundstation.background import in_background
+from groundstation.comparison.gap import CHANNELS
 from groundstation.compiling import announced
 from groundstation.dynamics.model import Model, load_model
 from groundstation.errors import BadInputError
@@ -132,14 +133,14 @@ class TwinService:
         self._model = None
 
     def status(self) -> dict[str, Any] | None:
-        """None without a model; see ``answers.TwinStatus``."""
+        """None without a model; see ``requests.TwinStatus``."""
         if self._model is None:
             return None
         state = "failed" if self._text else "watching" if self._learnt else "learning"
         return {
             "state": state,
             "model": self._name,
-            "gap": self._gap_by_channel(),
+            "gap": {} if self._gap is None else dict(zip(CHANNELS, self._gap, strict=True)),
             "disagreements": self._lasting,
             "events": self.events,
             "waiting": self._rows,
@@ -192,12 +193,12 @@ class TwinService:
 
         try:
             beside, made = await in_background(work)
+            if generation != self._generation:
+                return  # of a craft that is gone
         except Exception as error:  # whatever it is, the telemetry goes on
             if generation == self._generation:
                 self._failed(error)
             return
-        if generation != self._generation:
-            return  # of a craft that is gone
         self._twin, self._faults = beside, 0
         for shown, told in made:
             self._gap = [None if np.isnan(each) else round(float(each), 3) for each in shown.gap]
@@ -238,11 +239,6 @@ class TwinService:
         self.events += kind == BEGAN
         details = {**_details(episode), "model": self._name}
         self._tell(LinkEvent(episode.host_ns, SOURCE, kind, in_words(episode), details))
-
-    def _gap_by_channel(self) -> dict[str, float | None]:
-        from groundstation.comparison.gap import CHANNELS
-
-        return {} if self._gap is None else dict(zip(CHANNELS, self._gap, strict=True))
 
 
 def _details(episode: Episode) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import inspect
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -42,28 +42,28 @@ class DecoderCounts:
     """Totals since the decoder was made.
 
     packets: arrived. malformed: not a telemetry packet (shifted or foreign bytes).
-    samples: given out. lost: missing on the 2 ms grid, in ``bursts`` bursts, the longest
-    ``longest_burst`` samples. duplicates: further copies of samples that were given out.
-    disagreeing: copies whose content contradicted the majority. damaged: packets whose stamp
-    fits nowhere. late: arrived after a newer sample had been given out. slips: jumps of the
-    grid without a restart. restarts: restarts of the device.
+    samples: given out. lost: missing on the 2 ms grid (``reassembly.emit``; of a craft's own log
+    ``LogRows._count``, of a file ``samples.row_steps``), in ``bursts``, the longest of
+    ``longest_burst``. duplicates: further copies of samples that were given out. disagreeing:
+    copies that contradicted the majority. damaged: packets whose stamp fits nowhere. late: arrived
+    after a newer sample. slips: jumps of the grid without a restart. restarts: of the device.
     """
 
-    packets: int
-    malformed: int
-    samples: int
-    lost: int
-    bursts: int
-    longest_burst: int
-    duplicates: int
-    disagreeing: int
-    damaged: int
-    late: int
-    slips: int
-    restarts: int
+    packets: int = 0
+    malformed: int = 0
+    samples: int = 0
+    lost: int = 0
+    bursts: int = 0
+    longest_burst: int = 0
+    duplicates: int = 0
+    disagreeing: int = 0
+    damaged: int = 0
+    late: int = 0
+    slips: int = 0
+    restarts: int = 0
 
     def as_dict(self) -> dict[str, int]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}
+        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +129,20 @@ class Decoder:
         return rest
 
     def counts(self) -> DecoderCounts:
-        n = self._state.n
-        settled = int(
-            n[reassembly.COPIES]
-            - n[reassembly.DISAGREED]
-            - n[reassembly.DAMAGED]
-            - n[reassembly.LATE]
+        state, n = self._state, self._state.n
+        slots = np.concatenate(
+            [
+                state.buffer[: n[reassembly.BUFFERED]],
+                state.pending[: n[reassembly.PENDING]],
+                state.orphans[: n[reassembly.ORPHANS]],
+            ]
         )
-        waiting = self._waiting_copies()
+        valid = np.arange(reassembly.VARIANTS) < state.variants[slots][:, None]
+        waiting = int((state.votes[slots] * valid).sum())
+        disagreed, damaged, late = (
+            int(n[place]) for place in (reassembly.DISAGREED, reassembly.DAMAGED, reassembly.LATE)
+        )
+        settled = int(n[reassembly.COPIES]) - disagreed - damaged - late
         return DecoderCounts(
             packets=self._packets,
             malformed=self._malformed,
@@ -145,24 +151,12 @@ class Decoder:
             bursts=int(n[reassembly.BURSTS]),
             longest_burst=int(n[reassembly.LONGEST]),
             duplicates=max(0, settled - waiting - self._samples),
-            disagreeing=int(n[reassembly.DISAGREED]),
-            damaged=int(n[reassembly.DAMAGED]),
-            late=int(n[reassembly.LATE]),
+            disagreeing=disagreed,
+            damaged=damaged,
+            late=late,
             slips=int(n[reassembly.SLIPS]),
             restarts=int(n[reassembly.RESTARTS]),
         )
-
-    def _waiting_copies(self) -> int:
-        state = self._state
-        slots = np.concatenate(
-            [
-                state.buffer[: state.n[reassembly.BUFFERED]],
-                state.pending[: state.n[reassembly.PENDING]],
-                state.orphans[: state.n[reassembly.ORPHANS]],
-            ]
-        )
-        valid = np.arange(reassembly.VARIANTS) < state.variants[slots][:, None]
-        return int((state.votes[slots] * valid).sum())
 
     def _decode(self, packets: Packets, host_time_ns: NDArray[np.int64]) -> Decoded:
         self._packets += len(packets)
@@ -265,6 +259,8 @@ ENVELOPE_WINDOWS = 30
 """Clocks drift apart by a tenth of a millisecond meanwhile."""
 CLOCK_POINTS = 600
 """Windows remembered for comparing the clocks: ten minutes of one second."""
+LATENESS = (25, 50, 75, 99)
+"""Percentiles of a window's lateness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,6 +368,8 @@ class LinkMeter:
         packets = counts.packets - (before.packets if before else 0)
         sent = self._samples + lost
         lateness_ms = np.concatenate(self._lateness) * 1e-6 if self._lateness else None
+        late = (None,) * 4 if lateness_ms is None else np.percentile(lateness_ms, LATENESS).tolist()
+        low_ms, median_ms, high_ms, most_ms = late
         if self._fastest is not None:
             self._clock.append(self._fastest)
         statistics = LinkStatistics(
@@ -381,9 +379,9 @@ class LinkMeter:
             packets_hz=packets / window_s,
             loss_pct=100.0 * lost / sent if sent else 0.0,
             copies=self._copies / self._samples if self._copies else None,
-            latency_ms=_percentile(lateness_ms, 50),
-            latency_p99_ms=_percentile(lateness_ms, 99),
-            jitter_ms=_spread(lateness_ms),
+            latency_ms=median_ms,
+            latency_p99_ms=most_ms,
+            jitter_ms=None if low_ms is None else high_ms - low_ms,
             clock_ppm=self._clock_ppm(),
             **counts.as_dict(),
         )
@@ -402,14 +400,3 @@ class LinkMeter:
         time_s, offset_s = (points - points[0]).T
         slope = float(np.polyfit(time_s, offset_s, 1)[0])
         return -slope * 1e6 if math.isfinite(slope) else None
-
-
-def _percentile(values: NDArray[np.float64] | None, q: float) -> float | None:
-    return None if values is None else float(np.percentile(values, q))
-
-
-def _spread(values: NDArray[np.float64] | None) -> float | None:
-    if values is None:
-        return None
-    low, high = np.percentile(values, [25, 75])
-    return float(high - low)

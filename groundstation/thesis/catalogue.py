@@ -21,7 +21,7 @@ from groundstation.control.linear_loop import (
     ROUNDED_YAW,
     evaluate,
     printed_plant,
-    run_direct,
+    step_direct,
     window_s,
 )
 from groundstation.dynamics.model import THESIS
@@ -51,16 +51,11 @@ def _packet(workshop: Workshop) -> Made:
     for (data, unit, size), name in zip(PRINTED, PACKET_DTYPE.names or (), strict=True):
         dtype, offset = fields[name][:2]
         rows.append([data, unit, size, name, offset, dtype.itemsize])
+    head = ["data", "printed unit", "printed bytes", "field here", "at byte", "bytes"]
     return Made(
         "The same 32 bytes; units and signs of each field are in docs/hardware.md. The motors are"
         " 12 bits each, packed.",
-        [
-            Table(
-                ["data", "printed unit", "printed bytes", "field here", "at byte", "bytes"],
-                rows,
-                f"{PACKET_DTYPE.itemsize} bytes in all.",
-            )
-        ],
+        [Table(head, rows, f"{PACKET_DTYPE.itemsize} bytes in all.")],
     )
 
 
@@ -89,18 +84,10 @@ def _log(workshop: Workshop) -> Made:
             )
         ],
         [
-            lines(time, dict(zip(("x", "y", "z"), gyro.T, strict=True)), "gyro, deg/s"),
-            lines(
-                time, dict(zip(("x", "y", "z"), accelerometer.T, strict=True)), "accelerometer, g"
-            ),
+            lines(time, dict(zip("xyz", table.T, strict=True)), label)
+            for table, label in ((gyro, "gyro, deg/s"), (accelerometer, "accelerometer, g"))
         ],
     )
-
-
-TELEMETRY = (
-    Entry("Table 5.1", "Telemetry data structure", _packet),
-    Entry("Figure 5.7", "Data log example", _log),
-)
 
 
 # Figures 6.3 to 6.5: sensor fusion by hand, and the axes.
@@ -160,13 +147,6 @@ def _corrected(workshop: Workshop) -> Made:
     )
 
 
-FUSION = (
-    Entry("Figure 6.3", "Kalman fusion output", _fusion),
-    Entry("Figure 6.4", "Crazyflie axis test no. 1", _inverted),
-    Entry("Figure 6.5", "Crazyflie axis test no. 2", _corrected),
-)
-
-
 # Figures 8.10 and 8.12 to 8.18, Tables 8.1 to 8.7: the controllers.
 
 
@@ -175,82 +155,59 @@ COLUMNS = (("roll", 2), (ROUNDED_ROLL, 2), (ROUNDED_YAW, 2), (ROUNDED_YAW, 8))
 WHOLE_S, WHOLE_DELAY = 1.0, 2
 
 
-def _gains(name: str) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        workshop.use("controllers.json")
-        rows = [
-            [key, *(getattr(GAINS[name][axis], key) for axis in AXES)] for key in ("kp", "ki", "kd")
-        ]
-        says = "Taken as printed: they act on u' in (rev/s)^2 per rad."
-        tables = [Table(["printed", *AXES], rows)]
-        if name == "PID":
-            one = workshop.said("limits.json")["axes"]["roll"]
-            gains = [[key, one["gains"][key]] for key in ("kp", "ki", "kd")]
-            says += (
-                " Beside them what a search gives on the printed roll model with 2 samples of"
-                f" delay and a maximum sensitivity of 2: overshoot {one['overshoot_pct']:.0f} %,"
-                f" settled in {one['settling_s']:.3f} s."
-            )
-            tables.append(Table(["by search", "roll"], gains))
-        return Made(says, tables)
-
-    return make
-
-
-def _steps(name: str) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        workshop.use("controllers.json")
-        panels: dict[str, list[tuple[str, Any]]] = {"roll": [], "yaw": []}
-        for label, delay in DRAWN:
-            axis = label.split(",")[0]
-            plant = printed_plant(label, delay)
-            rows = round(window_s(label) / plant.ts)
-            with np.errstate(over="ignore", invalid="ignore"):
-                y = run_direct(plant, GAINS[name][axis], np.ones(rows)).y
-            rounded = "" if label == axis else f", {label.split(', ')[1]}"
-            panels[axis].append((f"{delay} rows{rounded}", np.nan_to_num(y, nan=5.0)))
-        return Made(
-            f"{name} with the printed gains on the printed models, with delays in rows, and on"
-            " models within the rounding of their digits; pitch is roll.",
-            figures=[responses(panels, SAMPLE_PERIOD_S)],
+def _gains(workshop: Workshop, name: str) -> Made:
+    workshop.use("controllers.json")
+    keys = ("kp", "ki", "kd")
+    rows = [[key, *(getattr(GAINS[name][axis], key) for axis in AXES)] for key in keys]
+    says = "Taken as printed: they act on u' in (rev/s)^2 per rad."
+    tables = [Table(["printed", *AXES], rows)]
+    if name == "PID":
+        one = workshop.said("limits.json")["axes"]["roll"]
+        says += (
+            " Beside them what a search gives on the printed roll model with 2 samples of"
+            f" delay and a maximum sensitivity of 2: overshoot {one['overshoot_pct']:.0f} %,"
+            f" settled in {one['settling_s']:.3f} s."
         )
+        tables.append(Table(["by search", "roll"], [[key, one["gains"][key]] for key in keys]))
+    return Made(says, tables)
 
-    return make
+
+def _steps(workshop: Workshop, name: str) -> Made:
+    workshop.use("controllers.json")
+    panels: dict[str, list[tuple[str, Any]]] = {"roll": [], "yaw": []}
+    for label, delay in DRAWN:
+        axis = label.split(",")[0]
+        plant = printed_plant(label, delay)
+        y = step_direct(plant, GAINS[name][axis], window_s(label))
+        rounded = "" if label == axis else f", {label.split(', ')[1]}"
+        panels[axis].append((f"{delay} rows{rounded}", np.nan_to_num(y, nan=5.0)))
+    return Made(
+        f"{name} with the printed gains on the printed models, with delays in rows, and on"
+        " models within the rounding of their digits; pitch is roll.",
+        figures=[responses(panels, SAMPLE_PERIOD_S)],
+    )
 
 
-def _results(key: str, unit: str, scale: str) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        cases = {
-            (case["controller"], case["axis"], case["delay_samples"]): case
-            for case in workshop.said("controllers.json")
-        }
-        rows: list[list[Cell]] = []
-        for name in GAINS:
-            row: list[Cell] = [name]
-            for axis in ("roll", "yaw"):
-                row.append(f"{cases[name, axis, 2]['printed'][key]:{scale}}")
-                for label, delay in COLUMNS:
-                    if label.split(",")[0] != axis:
-                        continue
-                    case = cases[name, label, delay]
-                    value = case[key]
-                    row.append(
-                        "unstable"
-                        if not case["stable"]
-                        else "not settled"
-                        if value is None
-                        else f"{value:{scale}}"
-                    )
-            rows.append(row)
-        head = ["", "printed roll"]
-        head += [f"{label}, {delay} rows" for label, delay in COLUMNS[:2]]
-        head += ["printed yaw"]
-        head += [f"{label}, {delay} rows" for label, delay in COLUMNS[2:]]
-        return Made(
-            (FINDING + " ") * (key == "rms") + f"In {unit}; pitch is roll.", [Table(head, rows)]
-        )
+def _results(workshop: Workshop, key: str, unit: str, scale: str) -> Made:
+    cases = {
+        (case["controller"], case["axis"], case["delay_samples"]): case
+        for case in workshop.said("controllers.json")
+    }
 
-    return make
+    def told(case: dict[str, Any]) -> str:
+        if not case["stable"]:
+            return "unstable"
+        return "not settled" if case[key] is None else f"{case[key]:{scale}}"
+
+    head, rows = [""], [[name] for name in GAINS]
+    for axis in ("roll", "yaw"):
+        columns = [one for one in COLUMNS if one[0].split(",")[0] == axis]
+        head += [f"printed {axis}", *(f"{label}, {delay} rows" for label, delay in columns)]
+        for row, name in zip(rows, GAINS, strict=True):
+            row.append(f"{cases[name, axis, 2]['printed'][key]:{scale}}")
+            row += [told(cases[name, label, delay]) for label, delay in columns]
+    says = (FINDING + " ") * (key == "rms") + f"In {unit}; pitch is roll."
+    return Made(says, [Table(head, rows)])
 
 
 def _whole(workshop: Workshop) -> Made:
@@ -274,33 +231,33 @@ def _whole(workshop: Workshop) -> Made:
     )
 
 
-CONTROL = (
-    Entry("Figure 8.10", "Whole simulation diagram", _whole),
-    Entry("Figure 8.12", "P controller results", _steps("P")),
-    Entry("Table 8.1", "P controller gains", _gains("P")),
-    Entry("Figure 8.14", "PI controller results", _steps("PI")),
-    Entry("Table 8.2", "PI controller gains", _gains("PI")),
-    Entry("Figure 8.16", "PD controller results", _steps("PD")),
-    Entry("Table 8.3", "PD controller gains", _gains("PD")),
-    Entry("Figure 8.18", "PID controller results", _steps("PID")),
-    Entry("Table 8.4", "PID controller gains", _gains("PID")),
-    Entry("Table 8.5", "Controller RMS errors", _results("rms", "rad of a step of 1 rad", ".4f")),
-    Entry("Table 8.6", "Overshoot ratios", _results("overshoot_pct", "percent of the step", ".0f")),
-    Entry("Table 8.7", "Settling times", _results("settling_s", "s, into 5 %", ".2f")),
-)
-
-
 # All entries in printed order, and how they are made.
 
 
 ENTRIES: tuple[Entry, ...] = (
-    *TELEMETRY,
-    *FUSION,
+    Entry("Table 5.1", "Telemetry data structure", _packet),
+    Entry("Figure 5.7", "Data log example", _log),
+    Entry("Figure 6.3", "Kalman fusion output", _fusion),
+    Entry("Figure 6.4", "Crazyflie axis test no. 1", _inverted),
+    Entry("Figure 6.5", "Crazyflie axis test no. 2", _corrected),
     *MOTORS,
     *FLIGHTS,
     *BODY,
     *ARX,
-    *CONTROL,
+    Entry("Figure 8.10", "Whole simulation diagram", _whole),
+    *(
+        entry
+        for i, kind in enumerate(GAINS)
+        for entry in (
+            Entry(f"Figure 8.{12 + 2 * i}", f"{kind} controller results", _steps, (kind,)),
+            Entry(f"Table 8.{1 + i}", f"{kind} controller gains", _gains, (kind,)),
+        )
+    ),
+    Entry("Table 8.5", "Controller RMS errors", _results, ("rms", "rad of a step of 1 rad", ".4f")),
+    Entry(
+        "Table 8.6", "Overshoot ratios", _results, ("overshoot_pct", "percent of the step", ".0f")
+    ),
+    Entry("Table 8.7", "Settling times", _results, ("settling_s", "s, into 5 %", ".2f")),
 )
 
 
@@ -309,20 +266,12 @@ def chosen(numbers: Sequence[str]) -> list[Entry]:
 
     Raises BadInputError for a number that has no counterpart.
     """
-    if not numbers:
-        return list(ENTRIES)
-    found = [
-        one
-        for one in ENTRIES
-        if any(wanted in (one.number, one.number.split()[1]) for wanted in numbers)
-    ]
-    named = {one.number for one in found} | {one.number.split()[1] for one in found}
-    missing = [wanted for wanted in numbers if wanted not in named]
-    if missing:
-        raise BadInputError(
-            f"--only {missing[0]}: there are {', '.join(one.number for one in ENTRIES)}"
-        )
-    return found
+    for wanted in numbers:
+        if not any(wanted in one.names for one in ENTRIES):
+            raise BadInputError(
+                f"--only {wanted}: there are {', '.join(one.number for one in ENTRIES)}"
+            )
+    return [one for one in ENTRIES if not numbers or one.names & set(numbers)]
 
 
 def make(
@@ -333,7 +282,7 @@ def make(
     for number, entry in enumerate(entries):
         begin(number, entry)
         workshop.begin()
-        made = entry.make(workshop)
+        made = entry.make(workshop, *entry.given)
         done.append(Done(entry, made, *workshop.commands()))
     return done
 
@@ -341,43 +290,29 @@ def make(
 # The page and the JSON of what was made.
 
 
-TITLE = "The thesis, repeated"
-WHOSE = (
-    "Modeling, Identification and Simulation of a Quadrotor Using Real-Time Flight Data (M.Sc."
-    " thesis, Istanbul Technical University, May 2015, on a Crazyflie 1.0)"
-)
-INTRODUCTION = (
-    "Every table and figure of the thesis that has a counterpart, in printed order, made from the"
-    " stand-in, whose true constants are known, and from the 25 printed rows of Figure 5.7; the"
-    " thesis's own recordings are not published. So numbers are not expected to agree with the"
-    " printed ones: compared is what each procedure finds, and whether it is the truth."
-)
-OUTCOME = "What came out"
-NOTHING, COMMANDS = "Without a counterpart", "Commands"
-COMMANDS_TEXT = (
-    "All, in order, for a folder with the files that groundstation thesis puts there first"
-    " (excerpt.csv, hand.toml, printed.toml); commands.sh there runs them anew."
-)
-
-
 def page(done: Sequence[Done], seconds: float) -> Page:
     """One page, a section for each number."""
-    made = Page(TITLE, f"{len(done)} entries, made in {seconds:.0f} s")
+    made = Page("The thesis, repeated", f"{len(done)} entries, made in {seconds:.0f} s")
     made.verdict(
-        f"{WHOSE}: {len(done)} of its tables and figures made again, {len(WITHOUT)} have no"
-        " counterpart.",
-        "neutral",
+        "Modeling, Identification and Simulation of a Quadrotor Using Real-Time Flight Data (M.Sc."
+        " thesis, Istanbul Technical University, May 2015, on a Crazyflie 1.0):"
+        f" {len(done)} of its tables and figures made again, {len(WITHOUT)} have no counterpart."
     )
     made.next_step("see under each number what was done, and the commands that do it again.")
-    made.text(INTRODUCTION)
-    made.heading(OUTCOME)
+    made.text(
+        "Every table and figure of the thesis that has a counterpart, in printed order, made from"
+        " the stand-in, whose true constants are known, and from the 25 printed rows of Figure 5.7;"
+        " the thesis's own recordings are not published. So numbers are not expected to agree with"
+        " the printed ones: compared is what each procedure finds, and whether it is the truth."
+    )
+    made.heading("What came out")
     made.table(
         ["number", "what it is", "what came out"],
         [
             (
                 one.entry.number.replace(" ", "\u00a0"),  # in one line
                 one.entry.title,
-                _first_sentence(one.made.says),
+                re.split(r"(?<=[.]) (?=[A-Z])", one.made.says)[0],  # its first sentence
             )
             for one in done
         ],
@@ -392,16 +327,15 @@ def page(done: Sequence[Done], seconds: float) -> Page:
         made.text(one.made.says)
         if one.commands:
             made.code(one.commands)
-    made.heading(NOTHING)
+    made.heading("Without a counterpart")
     made.table(["number", "what it is"], WITHOUT)
-    made.heading(COMMANDS)
-    made.text(COMMANDS_TEXT)
-    made.code(_all_commands(done))
+    made.heading("Commands")
+    made.text(
+        "All, in order, for a folder with the files that groundstation thesis puts there first"
+        " (excerpt.csv, hand.toml, printed.toml); commands.sh there runs them anew."
+    )
+    made.code(dict.fromkeys(line for one in done for line in one.chain))
     return made
-
-
-def _first_sentence(text: str) -> str:
-    return re.split(r"(?<=[.]) (?=[A-Z])", text)[0]
 
 
 def as_json(done: Sequence[Done], seconds: float) -> dict[str, Any]:
@@ -412,7 +346,7 @@ def as_json(done: Sequence[Done], seconds: float) -> dict[str, Any]:
                 "number": one.entry.number,
                 "title": one.entry.title,
                 "says": one.made.says,
-                "tables": [table.as_dict() for table in one.made.tables],
+                "tables": [{"head": table.head, "rows": table.rows} for table in one.made.tables],
                 "figures": len(one.made.figures),
                 "commands": list(one.commands),
                 "from_nothing": list(one.chain),
@@ -422,10 +356,3 @@ def as_json(done: Sequence[Done], seconds: float) -> dict[str, Any]:
         "without": [{"number": number, "why": why} for number, why in WITHOUT],
         "seconds": round(seconds, 1),
     }
-
-
-def _all_commands(done: Sequence[Done]) -> list[str]:
-    found: list[str] = []
-    for one in done:
-        found += [line for line in one.chain if line not in found]
-    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import msgspec
@@ -19,7 +19,7 @@ from groundstation.dynamics.model import (
 )
 from groundstation.dynamics.simulation import armature_mv
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.identification.arx.workflow import (
+from groundstation.identification.arx import (
     WINDOW_S,
     ArxCandidate,
     ArxData,
@@ -30,10 +30,8 @@ from groundstation.identification.arx.workflow import (
     search_arx,
     step_response,
 )
-from groundstation.identification.division import Stretch, stretches_of
-from groundstation.identification.estimate import cross_correlation_test
-from groundstation.identification.fit_record import liveliest
-from groundstation.identification.flight import turning_parts
+from groundstation.identification.estimate import cross_correlation_test, liveliest
+from groundstation.identification.flight import Stretch, stretches_of, turning
 from groundstation.identification.motor.fit import bench_run, speed_from_gate
 from groundstation.identification.motor.fit import simulate_run as simulate_motor
 from groundstation.identification.report import angle_rms, simulate_run
@@ -83,145 +81,125 @@ def torque(workshop: Workshop, run: Run) -> Array:
     return rotor_squares(run, rotor_motors(model)).mixed(model_vehicle(model).configuration)
 
 
-def _voltages(one: int, other: int) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        run = longest(workshop)
-        volts = armature_mv(run.duty, run.supply_v) / 1e3
-        full = 100.0 * float((run.duty[:, [one, other]] >= 0.995).any(axis=1).mean())
-        return Made(
-            f"Duty times the reported battery voltage (3.84). Saturated in {full:.1f} % of the"
-            " rows; the thesis's tops are flat where they are.",
-            figures=[
-                lines(run.time_s, {f"M{i + 1}": volts[:, i] for i in (one, other)}, "V"),
-            ],
-        )
-
-    return make
+def _voltages(workshop: Workshop, one: int, other: int) -> Made:
+    run = longest(workshop)
+    volts = armature_mv(run.duty, run.supply_v) / 1e3
+    full = 100.0 * float((run.duty[:, [one, other]] >= 0.995).any(axis=1).mean())
+    return Made(
+        f"Duty times the reported battery voltage (3.84). Saturated in {full:.1f} % of the"
+        " rows; the thesis's tops are flat where they are.",
+        figures=[lines(run.time_s, {f"M{i + 1}": volts[:, i] for i in (one, other)}, "V")],
+    )
 
 
-def _speeds(one: int, other: int) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        run = longest(workshop)
-        speed = np.sqrt(rotor_squares(run, rotor_motors(workshop.model("body.json"))).end)
-        return Made(
-            "By the fitted motor (7.10) from the voltages.",
-            figures=[lines(run.time_s, {f"M{i + 1}": speed[:, i] for i in (one, other)}, "rev/s")],
-        )
-
-    return make
+def _speeds(workshop: Workshop, one: int, other: int) -> Made:
+    run = longest(workshop)
+    speed = np.sqrt(rotor_squares(run, rotor_motors(workshop.model("body.json"))).end)
+    return Made(
+        "By the fitted motor (7.10) from the voltages.",
+        figures=[lines(run.time_s, {f"M{i + 1}": speed[:, i] for i in (one, other)}, "rev/s")],
+    )
 
 
-def _torque(axis: int) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        run = longest(workshop)
-        mixed = torque(workshop, run)[:, axis]
-        return Made(
-            f"u'{axis + 1} of the mixer (7.19): between {mixed.min():.0f} and {mixed.max():.0f}"
-            f" (rev/s)^2, mean {mixed.mean():.0f}.",
-            figures=[lines(run.time_s, {AXES[axis]: mixed}, "u', (rev/s)^2")],
-        )
-
-    return make
+def _torque(workshop: Workshop, axis: int) -> Made:
+    run = longest(workshop)
+    mixed = torque(workshop, run)[:, axis]
+    return Made(
+        f"u'{axis + 1} of the mixer (7.19): between {mixed.min():.0f} and {mixed.max():.0f}"
+        f" (rev/s)^2, mean {mixed.mean():.0f}.",
+        figures=[lines(run.time_s, {AXES[axis]: mixed}, "u', (rev/s)^2")],
+    )
 
 
-def _angle(axis: int) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        run = longest(workshop)
-        angle = np.degrees(run.attitude[:, axis])
-        return Made(
-            f"As reported, {angle.min():.1f} to {angle.max():.1f} deg.",
-            figures=[lines(run.time_s, {AXES[axis]: angle}, "deg")],
-        )
-
-    return make
+def _angle(workshop: Workshop, axis: int) -> Made:
+    run = longest(workshop)
+    angle = np.degrees(run.attitude[:, axis])
+    return Made(
+        f"As reported, {angle.min():.1f} to {angle.max():.1f} deg.",
+        figures=[lines(run.time_s, {AXES[axis]: angle}, "deg")],
+    )
 
 
-def _example(axis: int) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        run = longest(workshop)
-        rows = liveliest(run.attitude[:, axis], run.period_s, EXAMPLE_S)
-        return Made(
-            f"The {EXAMPLE_S:.0f} s in which {AXES[axis]} moves most: angle, and dashed the"
-            " torque behind it.",
-            figures=[
-                against(
-                    run.time_s[rows],
-                    np.degrees(run.attitude[rows, axis]),
-                    f"{AXES[axis]}, deg",
-                    torque(workshop, run)[rows, axis],
-                    "u', (rev/s)^2",
-                )
-            ],
-        )
-
-    return make
+def _example(workshop: Workshop, axis: int) -> Made:
+    run = longest(workshop)
+    rows = liveliest(run.attitude[:, axis], run.period_s, EXAMPLE_S)
+    return Made(
+        f"The {EXAMPLE_S:.0f} s in which {AXES[axis]} moves most: angle, and dashed the"
+        " torque behind it.",
+        figures=[
+            against(
+                run.time_s[rows],
+                np.degrees(run.attitude[rows, axis]),
+                f"{AXES[axis]}, deg",
+                torque(workshop, run)[rows, axis],
+                "u', (rev/s)^2",
+            )
+        ],
+    )
 
 
 FLIGHTS = (
-    Entry("Figure 7.13", "Motor1 and Motor3 armature voltages", _voltages(0, 2)),
-    Entry("Figure 7.14", "Motor2 and Motor4 armature voltages", _voltages(1, 3)),
-    Entry("Figure 7.15", "Rotational speeds of Motor1 and Motor3", _speeds(0, 2)),
-    Entry("Figure 7.16", "Rotational speeds of Motor2 and Motor4", _speeds(1, 3)),
-    Entry("Figure 7.17", "Roll torque respect to the k constant", _torque(0)),
-    Entry("Figure 7.18", "Pitch torque respect to the k constant", _torque(1)),
-    Entry("Figure 7.19", "Yaw torque respect to the b constant", _torque(2)),
-    Entry("Figure 7.20", "Roll angle of the flight data", _angle(0)),
-    Entry("Figure 7.21", "Pitch angle of the flight data", _angle(1)),
-    Entry("Figure 7.22", "Yaw angle of the flight data", _angle(2)),
-    Entry("Figure 7.23", "Real-time flight data example-1", _example(0)),
-    Entry("Figure 7.24", "Real-time flight data example-2", _example(1)),
-    Entry("Figure 7.25", "Real-time flight data example-3", _example(2)),
+    Entry("Figure 7.13", "Motor1 and Motor3 armature voltages", _voltages, (0, 2)),
+    Entry("Figure 7.14", "Motor2 and Motor4 armature voltages", _voltages, (1, 3)),
+    Entry("Figure 7.15", "Rotational speeds of Motor1 and Motor3", _speeds, (0, 2)),
+    Entry("Figure 7.16", "Rotational speeds of Motor2 and Motor4", _speeds, (1, 3)),
+    Entry("Figure 7.17", "Roll torque respect to the k constant", _torque, (0,)),
+    Entry("Figure 7.18", "Pitch torque respect to the k constant", _torque, (1,)),
+    Entry("Figure 7.19", "Yaw torque respect to the b constant", _torque, (2,)),
+    Entry("Figure 7.20", "Roll angle of the flight data", _angle, (0,)),
+    Entry("Figure 7.21", "Pitch angle of the flight data", _angle, (1,)),
+    Entry("Figure 7.22", "Yaw angle of the flight data", _angle, (2,)),
+    Entry("Figure 7.23", "Real-time flight data example-1", _example, (0,)),
+    Entry("Figure 7.24", "Real-time flight data example-2", _example, (1,)),
+    Entry("Figure 7.25", "Real-time flight data example-3", _example, (2,)),
 )
 
 
 # Figures 7.3 to 7.6 and 7.9 to 7.11, Table 7.1: the motor.
 
 
-FROM_S, TO_S = 20.0, 28.0
+FITTED_S = (20.0, 28.0)
 """The 4000 samples that are fitted."""
 START_S, PIECE_S, MOTOR_DRAWN_S = 0.5, 2.0, 8.0
 
 
-def _part(run: Run, first_s: float, last_s: float) -> Run:
-    first, last = (
-        round((s + run.recording_start_s - run.start_s) / run.period_s) for s in (first_s, last_s)
-    )
-    return run[max(first, 0) : last]
-
-
 def _piece(workshop: Workshop) -> Run:
-    return _part(workshop.runs("bench.csv")[0], FROM_S, TO_S)
+    run = workshop.runs("bench.csv")[0]
+    before_s = run.recording_start_s - run.start_s
+    first, last = (round((s + before_s) / run.period_s) for s in FITTED_S)
+    return run[max(first, 0) : last]
 
 
 def _periods(workshop: Workshop) -> Made:
     run = _piece(workshop)
-    gate = speed_from_gate(run)
     return Made(
         "Half a revolution, as the optical gate times it, over the 8 s that are fitted:"
-        f" {100 * gate.glitches:.1f} % of the readings are missed or doubled passages.",
+        f" {100 * speed_from_gate(run).glitches:.1f} % of the readings are missed or doubled"
+        " passages.",
         figures=[points(run.time_s, {"gate": 1e3 * run.debug_s}, "half period, ms")],
     )
 
 
-def _filtered(workshop: Workshop) -> Made:
+def _kept(workshop: Workshop) -> tuple[Array, Array]:
+    """Time (s) and speed (rev/s) of the gate's readings that its filter keeps."""
     run = _piece(workshop)
-    gate = speed_from_gate(run)
-    kept = np.isfinite(gate.rev_s)
+    speed = speed_from_gate(run).rev_s
+    kept = np.isfinite(speed)
+    return run.time_s[kept], speed[kept]
+
+
+def _filtered(workshop: Workshop) -> Made:
+    time, speed = _kept(workshop)
     return Made(
         "Readings that differ by more than 10 % from the median of those around them are left out"
         " (the thesis does not say how its filter works), and nothing is put in their place.",
-        figures=[points(run.time_s[kept], {"kept": 500.0 / gate.rev_s[kept]}, "half period, ms")],
+        figures=[points(time, {"kept": 500.0 / speed}, "half period, ms")],
     )
 
 
 def _speed(workshop: Workshop) -> Made:
-    run = _piece(workshop)
-    gate = speed_from_gate(run)
-    kept = np.isfinite(gate.rev_s)
-    return Made(
-        "One over twice the half period.",
-        figures=[lines(run.time_s[kept], {"M1": gate.rev_s[kept]}, "rev/s")],
-    )
+    time, speed = _kept(workshop)
+    return Made("One over twice the half period.", figures=[lines(time, {"M1": speed}, "rev/s")])
 
 
 def _voltage(workshop: Workshop) -> Made:
@@ -234,21 +212,18 @@ def _voltage(workshop: Workshop) -> Made:
 
 
 def _results(workshop: Workshop) -> Made:
-    true = THESIS.motor
-    rows: list[list[Cell]] = [
-        ["printed (7.10)", *MOTOR_FIT.values(), true.a0, true.a1, true.a2],
-    ]
+    true = msgspec.structs.astuple(THESIS.motor)
+    rows: list[list[Cell]] = [["printed (7.10)", *MOTOR_FIT.values(), *true]]
     for name, words in (
         ("motor.json", "8 s, battery as reported (3.84)"),
         ("supplied.json", "60 s, sag and lag of the battery modelled"),
     ):
         model = workshop.model(name)
         account = model.fit["motor"]
-        motor = model.motor
-        held = {one["recording"]: one["rotor_fit_percent"] for one in account["validation"]}
+        held = [one["rotor_fit_percent"] for one in account["validation"]]
         own = float(np.mean(account["identification"]["rotor_fit_percent"]))
-        rows.append([words, own, *held.values(), motor.a0, motor.a1, motor.a2])
-    rows.append(["true of the stand-in", None, None, None, true.a0, true.a1, true.a2])
+        rows.append([words, own, *held, *msgspec.structs.astuple(model.motor)])
+    rows.append(["true of the stand-in", None, None, None, *true])
     return Made(
         "The reported voltage passes a filter of 155 ms and does not know what wires lose. Taking"
         " it for the armature's, as 3.84 does, costs 15 % of a0 and a1 while the fit still reads"
@@ -257,32 +232,29 @@ def _results(workshop: Workshop) -> Made:
     )
 
 
-def _fit_motors(name: str, number: int, words: str) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        motor = workshop.model("motor.json")
-        account = motor.fit["motor"]
-        if number == 0:
-            run = _piece(workshop)
-            percent = float(np.mean(account["identification"]["rotor_fit_percent"]))
-        else:
-            (run, *_) = turning_parts(workshop.runs(name)[0], PIECE_S)
-            run = run[round(START_S / run.period_s) :]
-            percent = account["validation"][number - 1]["rotor_fit_percent"]
-        estimates = account["estimates"]
-        values = dict(zip(estimates["names"], estimates["values"], strict=True))
-        bench = bench_run(run[: round(MOTOR_DRAWN_S / run.period_s)], 0)
-        modelled = simulate_motor(bench, motor.motor, values["delay_s"])
-        known = np.isfinite(bench.rev_s)
-        time = run.time_s[: len(known)][known]
-        return Made(
-            f"Fit {percent:.1f} % (printed {MOTOR_FIT[words]:.2f} %), simulated from the voltage"
-            f" alone; {MOTOR_DRAWN_S:.0f} s are drawn.",
-            figures=[
-                overlay(time, bench.rev_s[known], modelled[known], "rev/s", "simulated"),
-            ],
-        )
-
-    return make
+def _fit_motors(workshop: Workshop, part: str) -> Made:
+    motor = workshop.model("motor.json")
+    account = motor.fit["motor"]
+    if part == "identification":
+        run = _piece(workshop)
+        percent = float(np.mean(account["identification"]["rotor_fit_percent"]))
+    else:
+        number = int(part[-1])
+        whole = workshop.runs(f"bench{number}.csv")[0]
+        (run, *_) = whole.parts(turning(whole), PIECE_S)
+        run = run[round(START_S / run.period_s) :]
+        percent = account["validation"][number - 1]["rotor_fit_percent"]
+    estimates = account["estimates"]
+    values = dict(zip(estimates["names"], estimates["values"], strict=True))
+    bench = bench_run(run[: round(MOTOR_DRAWN_S / run.period_s)], 0)
+    modelled = simulate_motor(bench, motor.motor, values["delay_s"])
+    known = np.isfinite(bench.rev_s)
+    time = run.time_s[: len(known)][known]
+    return Made(
+        f"Fit {percent:.1f} % (printed {MOTOR_FIT[part]:.2f} %), simulated from the voltage"
+        f" alone; {MOTOR_DRAWN_S:.0f} s are drawn.",
+        figures=[overlay(time, bench.rev_s[known], modelled[known], "rev/s", "simulated")],
+    )
 
 
 MOTORS = (
@@ -291,9 +263,9 @@ MOTORS = (
     Entry("Figure 7.5", "Measured motor speed", _speed),
     Entry("Figure 7.6", "Armature voltage", _voltage),
     Entry("Table 7.1", "Motor model identification results", _results),
-    Entry("Figure 7.9", "Identification data fit", _fit_motors("bench.csv", 0, "identification")),
-    Entry("Figure 7.10", "Validation-1 data fit", _fit_motors("bench1.csv", 1, "validation 1")),
-    Entry("Figure 7.11", "Validation-2 data fit", _fit_motors("bench2.csv", 2, "validation 2")),
+    Entry("Figure 7.9", "Identification data fit", _fit_motors, ("identification",)),
+    Entry("Figure 7.10", "Validation-1 data fit", _fit_motors, ("validation 1",)),
+    Entry("Figure 7.11", "Validation-2 data fit", _fit_motors, ("validation 2",)),
 )
 
 
@@ -327,14 +299,15 @@ def _body_table(workshop: Workshop) -> Made:
         for (axis, part), printed in BODY_RMS.items()
     ]
     found = workshop.model("body.json")
-    craft = vehicle_model(load_vehicle("crazyflie1")).body
-    constants = [
-        [name, *(getattr(one, name) for one in (THESIS.body, found.body, craft) if one)]
-        for name in ("c0", "c1", "c2")
-    ]
+    true = vehicle_model(load_vehicle("crazyflie1")).body
     said = found.fit["body"]["estimates"]
     error = dict(zip(said["names"], said["stderr"], strict=True))
-    constants = [[*row[:3], error[str(row[0])], row[3]] for row in constants]
+    constants = [
+        [name, *(getattr(one, name) for one in (THESIS.body, found.body, true))]
+        for name in ("c0", "c1", "c2")
+    ]
+    for row in constants:
+        row.insert(3, error[row[0]])
     return Made(
         "RMS of the angles in rad when the fitted body runs freely from measured rates and angles;"
         " pitch by roll's constant, as in the thesis. How long a run lasts decides what is read"
@@ -352,40 +325,30 @@ def _body_table(workshop: Workshop) -> Made:
     )
 
 
-def _fit_body(axis: str, part: str, with_roll: bool = False) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        run = longest(workshop, FILES[part])
-        index = AXES.index(axis)
-        rows = liveliest(run.attitude[:, index], run.period_s, BODY_DRAWN_S)
-        model = by_roll(workshop.model("body.json"))
-        done = workshop.once(("replayed", part), lambda: simulate_run(model, run, max(WINDOWS_S)))
-        error = _rms(workshop, axis, part, max(WINDOWS_S))
-        words = " by roll's constant" if with_roll else ""
-        measured = np.unwrap(run.attitude, axis=0)[rows, index]
-        apart = np.angle(np.exp(1j * (measured - done.attitude[rows, index])))
-        return Made(
-            f"Free runs of {max(WINDOWS_S):g} s each{words}: RMS {error:.3f} rad over the flight,"
-            f" printed {BODY_RMS[axis, part]:.4f}.",
-            figures=[
-                overlay(
-                    run.time_s[rows],
-                    np.degrees(measured),
-                    np.degrees(measured - apart),
-                    f"{axis}, deg",
-                    "free run",
-                )
-            ],
-        )
-
-    return make
+def _fit_body(workshop: Workshop, axis: str, part: str) -> Made:
+    run = longest(workshop, FILES[part])
+    index = AXES.index(axis)
+    rows = liveliest(run.attitude[:, index], run.period_s, BODY_DRAWN_S)
+    model = by_roll(workshop.model("body.json"))
+    done = workshop.once(("replayed", part), lambda: simulate_run(model, run, max(WINDOWS_S)))
+    error = _rms(workshop, axis, part, max(WINDOWS_S))
+    words = " by roll's constant" if axis == "pitch" else ""
+    measured = np.unwrap(run.attitude, axis=0)[rows, index]
+    apart = np.angle(np.exp(1j * (measured - done.attitude[rows, index])))
+    drawn = np.degrees(measured), np.degrees(measured - apart)
+    return Made(
+        f"Free runs of {max(WINDOWS_S):g} s each{words}: RMS {error:.3f} rad over the flight,"
+        f" printed {BODY_RMS[axis, part]:.4f}.",
+        figures=[overlay(run.time_s[rows], *drawn, f"{axis}, deg", "free run")],
+    )
 
 
 BODY = (
-    Entry("Figure 7.27", "Roll axis identification data fit", _fit_body("roll", "identification")),
-    Entry("Figure 7.28", "Roll axis validation data fit", _fit_body("roll", "validation")),
-    Entry("Figure 7.29", "Pitch axis validation data fit", _fit_body("pitch", "validation", True)),
-    Entry("Figure 7.30", "Yaw axis identification data fit", _fit_body("yaw", "identification")),
-    Entry("Figure 7.31", "Yaw axis validation data fit", _fit_body("yaw", "validation")),
+    *(
+        Entry(f"Figure 7.{27 + i}", f"{axis.capitalize()} axis {part} data fit", _fit_body, which)
+        for i, which in enumerate(BODY_RMS)
+        for axis, part in (which,)
+    ),
     Entry("Table 7.2", "Results of nonlinear grey-box identification", _body_table),
 )
 
@@ -396,6 +359,8 @@ BODY = (
 CHOSEN: Order = (2, 1, 8)
 DRAWN_S = 6.0
 MODEL = "arx.json"
+PRINTED_ARX = {"roll": ROLL_ARX, "yaw": YAW_ARX}
+RMS_HEAD = ("printed identification", "printed validation", "identification", "validation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,6 +374,11 @@ class AxisSearch:
     def of(self, order: Order) -> ArxCandidate:
         """One structure."""
         return next(one for one in self.search.candidates if one.order == order)
+
+    @property
+    def longest(self) -> ArxData:
+        """Of the held-out data."""
+        return max(self.held, key=lambda data: len(data.outputs))
 
 
 def _searched(workshop: Workshop, axis: str) -> AxisSearch:
@@ -433,22 +403,22 @@ def label(order: Order) -> str:
     return f"ARX({','.join(map(str, order))})"
 
 
-def _fit_arx(axis: str, order: Order) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        found = _searched(workshop, axis)
-        one = found.of(order)
-        printed = (ROLL_ARX if axis == "roll" else YAW_ARX).get(order)
-        beside = f" (printed {printed[1]:.4f})" if printed else " (not in the printed table)"
-        return _run_freely(
-            one.axis,
-            max(found.held, key=lambda data: len(data.outputs)),
-            axis,
-            f"{label(order)}, free runs of {WINDOW_S:g} s on the held-out flight: RMS"
-            f" {one.rms_validation:.4f} rad{beside}; step response"
-            f" {'plausible' if one.plausible else 'not plausible'}.",
-        )
+def _fit_arx(workshop: Workshop, axis: str, order: Order) -> Made:
+    found = _searched(workshop, axis)
+    one = found.of(order)
+    printed = PRINTED_ARX[axis].get(order)
+    beside = f" (printed {printed[1]:.4f})" if printed else " (not in the printed table)"
+    return _run_freely(
+        one.axis,
+        found.longest,
+        axis,
+        f"{label(order)}, free runs of {WINDOW_S:g} s on the held-out flight: RMS"
+        f" {one.rms_validation:.4f} rad{beside}; step response {_step_of(one)}.",
+    )
 
-    return make
+
+def _step_of(one: ArxCandidate) -> str:
+    return "plausible" if one.plausible else "not plausible"
 
 
 def _run_freely(model: ArxAxis, data: ArxData, axis: str, words: str) -> Made:
@@ -459,111 +429,72 @@ def _run_freely(model: ArxAxis, data: ArxData, axis: str, words: str) -> Made:
     rows = liveliest(measured, data.period_s, DRAWN_S)
     time = np.asarray(data.period_s * np.arange(len(measured)), np.float64)
     reach = 3.0 * float(np.abs(measured[rows]).max())
-    shown = np.clip(flown[rows], -reach, reach)
+    drawn = np.degrees(measured[rows]), np.degrees(np.clip(flown[rows], -reach, reach))
+    return Made(words, figures=[overlay(time[rows], *drawn, f"{axis}, deg", "free run")])
+
+
+def _table(workshop: Workshop, axis: str) -> Made:
+    found, printed = _searched(workshop, axis), PRINTED_ARX[axis]
+    best, chosen = found.search.candidates[0], found.search.chosen
+    shown = {order: label(order) for order in printed}
+    shown.setdefault(best.order, f"{best.label}, best here")
+    rows: list[list[Cell]] = []
+    for order, name in shown.items():
+        one = found.of(order)
+        beside = printed.get(order, (None, None))
+        rows.append([name, *beside, one.rms_fit, one.rms_validation, _step_of(one)])
     return Made(
-        words,
-        figures=[
-            overlay(
-                time[rows],
-                np.degrees(measured[rows]),
-                np.degrees(shown),
-                f"{axis}, deg",
-                "free run",
+        "The thesis's procedure: 88 structures on angles, least squares, ranked by free run,"
+        f" here over {WINDOW_S:g} s at a time; RMS in rad. Chosen here: {chosen.label}. The"
+        " reported angle is fresh in every second row only, and least squares spends its"
+        " coefficients on the repetition (docs/identification.md, ARX models).",
+        [
+            Table(
+                ["structure", *RMS_HEAD, "step response"],
+                rows,
+                f"The whole list: fit.arx.axes.{axis}.table in {MODEL}.",
             )
         ],
     )
 
 
-def _table(axis: str, printed: dict[Order, tuple[float, float]]) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        found = _searched(workshop, axis)
-        rows: list[list[Cell]] = []
-        for order, (one_printed, other_printed) in printed.items():
-            one = found.of(order)
-            plausible = "plausible" if one.plausible else "not plausible"
-            ours = one.rms_fit, one.rms_validation
-            rows.append([label(order), one_printed, other_printed, *ours, plausible])
-        best = found.search.candidates[0]
-        chosen = found.search.chosen
-        if best.order not in printed:
-            ours = best.rms_fit, best.rms_validation
-            rows.append(
-                [
-                    f"{best.label}, best here",
-                    None,
-                    None,
-                    *ours,
-                    "plausible" if best.plausible else "not plausible",
-                ]
-            )
-        return Made(
-            "The thesis's procedure: 88 structures on angles, least squares, ranked by free run,"
-            f" here over {WINDOW_S:g} s at a time; RMS in rad. Chosen here: {chosen.label}. The"
-            " reported angle is fresh in every second row only, and least squares spends its"
-            " coefficients on the repetition (docs/identification.md, ARX models).",
-            [
-                Table(
-                    [
-                        "structure",
-                        "printed identification",
-                        "printed validation",
-                        "identification",
-                        "validation",
-                        "step response",
-                    ],
-                    rows,
-                    f"The whole list: fit.arx.axes.{axis}.table in {MODEL}.",
-                )
-            ],
-        )
-
-    return make
+def _steps(workshop: Workshop, axis: str, order: Order) -> Made:
+    one = _searched(workshop, axis).of(order)
+    time, output = step_response(one.axis)
+    printed = ROLL_STEPS[order] if axis == "roll" else "same sign, no oscillations"
+    poles = ", ".join(f"{abs(p):.3f}" for p in np.sort_complex(np.roots([1.0, *one.axis.a])))
+    return Made(
+        f"Printed: {printed}. Here: {_step_of(one)};"
+        f" after 0.5 s {output[-1]:.2e} rad per (rev/s)^2; magnitudes of the poles {poles}.",
+        figures=[both_steps(time, output, f"{axis}, rad")],
+    )
 
 
-def _steps(axis: str, order: Order) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        one = _searched(workshop, axis).of(order)
-        time, output = step_response(one.axis)
-        printed = ROLL_STEPS[order] if axis == "roll" else "same sign, no oscillations"
-        poles = ", ".join(f"{abs(p):.3f}" for p in np.sort_complex(np.roots([1.0, *one.axis.a])))
-        return Made(
-            f"Printed: {printed}. Here: {'plausible' if one.plausible else 'not plausible'};"
-            f" after 0.5 s {output[-1]:.2e} rad per (rev/s)^2; magnitudes of the poles {poles}.",
-            figures=[both_steps(time, output, f"{axis}, rad")],
-        )
-
-    return make
-
-
-def _cross(axis: str, order: Order) -> Callable[[Workshop], Made]:
-    def make(workshop: Workshop) -> Made:
-        found = _searched(workshop, axis)
-        one = found.of(order)
-        data = found.held[0]
-        left = residuals(one.axis, data)
-        rows = sum(len(part.outputs) for part in found.fit)
-        test = cross_correlation_test(left, data.inputs[-len(left) :], fitted_rows=rows)
-        printed = CROSS[order] if axis == "roll" else "passes"
-        return Made(
-            f"Printed: {printed}. Here on held-out data: {test.outside} of {len(test.lags)} lags"
-            f" outside the 99 % band, the test {'passes' if test.passes else 'fails'} (it allows"
-            " for slow inputs, whose neighbouring lags leave the band together).",
-            figures=[correlation(test, "correlation")],
-        )
-
-    return make
+def _cross(workshop: Workshop, axis: str, order: Order) -> Made:
+    found = _searched(workshop, axis)
+    one = found.of(order)
+    data = found.held[0]
+    left = residuals(one.axis, data)
+    rows = sum(len(part.outputs) for part in found.fit)
+    test = cross_correlation_test(left, data.inputs[-len(left) :], fitted_rows=rows)
+    printed = CROSS[order] if axis == "roll" else "passes"
+    return Made(
+        f"Printed: {printed}. Here on held-out data: {test.outside} of {len(test.lags)} lags"
+        f" outside the 99 % band, the test {'passes' if test.passes else 'fails'} (it allows"
+        " for slow inputs, whose neighbouring lags leave the band together).",
+        figures=[correlation(test, "correlation")],
+    )
 
 
 def _roll_on_pitch(workshop: Workshop) -> Made:
-    model = _searched(workshop, "roll").of(CHOSEN)
-    held = _searched(workshop, "pitch").held
-    error = free_run_rms(model.axis, held)
-    longest = max(held, key=lambda data: len(data.outputs))
+    model = _searched(workshop, "roll").of(CHOSEN).axis
+    pitch = _searched(workshop, "pitch")
     return _run_freely(
-        model.axis,
-        longest,
+        model,
+        pitch.longest,
         "pitch",
-        f"{label(CHOSEN)} of roll on pitch: RMS {error:.4f} rad (printed {ROLL_ON_PITCH}).",
+        f"{label(CHOSEN)} of roll on pitch: RMS {free_run_rms(model, pitch.held):.4f} rad"
+        f" (printed {ROLL_ON_PITCH}).",
     )
 
 
@@ -582,18 +513,7 @@ def _performance(workshop: Workshop) -> Made:
         )
     return Made(
         "Roll's model serves pitch as well as roll, as the thesis found.",
-        [
-            Table(
-                [
-                    "data axis",
-                    "printed identification",
-                    "printed validation",
-                    "identification",
-                    "validation",
-                ],
-                rows,
-            )
-        ],
+        [Table(["data axis", *RMS_HEAD], rows)],
     )
 
 
@@ -612,8 +532,13 @@ def _decision(workshop: Workshop) -> Made:
         for channel in first["channels"]
     ]
     rows.append(["all", *(one["validation"]["before"] for one in said.values())])
-    chosen = ", ".join(f"{axis} {one}" for axis, one in _chosen(workshop, "arx.json").items())
-    rates = ", ".join(f"{axis} {one}" for axis, one in _chosen(workshop, "rates.json").items())
+    chosen, rates = (
+        ", ".join(
+            f"{axis} {one['chosen']}"
+            for axis, one in workshop.model(name).fit["arx"]["axes"].items()
+        )
+        for name in ("arx.json", "rates.json")
+    )
     return Made(
         "Printed: ARX is better than the grey box on all axes, for its delay. Here, errors 20 and"
         " 50 ms ahead on the held-out flight over what noise leaves (1: nothing left). The grey box"
@@ -626,45 +551,30 @@ def _decision(workshop: Workshop) -> Made:
     )
 
 
-def _chosen(workshop: Workshop, name: str) -> dict[str, str]:
-    axes = workshop.model(name).fit["arx"]["axes"]
-    return {axis: one["chosen"] for axis, one in axes.items()}
+def _of_roll(
+    first: int, title: str, make: Callable[..., Made], orders: Iterable[Order]
+) -> list[Entry]:
+    """A figure of each structure, numbered from 7.``first`` on."""
+    return [
+        Entry(f"Figure 7.{number}", f"{label(order)} {title}", make, ("roll", order))
+        for number, order in enumerate(orders, first)
+    ]
 
 
-FITS: tuple[tuple[str, Order], ...] = (
-    ("7.34", (2, 1, 0)),
-    ("7.35", (2, 1, 4)),
-    ("7.36", (2, 1, 8)),
-    ("7.37", (2, 1, 10)),
-    ("7.38", (3, 1, 0)),
-    ("7.39", (3, 1, 4)),
-    ("7.40", (4, 2, 0)),
-    ("7.41", (2, 2, 0)),
-    ("7.42", (2, 2, 4)),
-    ("7.43", (3, 2, 0)),
-    ("7.44", (3, 2, 4)),
+FITS: tuple[Order, ...] = (
+    *((2, 1, 0), (2, 1, 4), (2, 1, 8), (2, 1, 10), (3, 1, 0), (3, 1, 4)),
+    *((4, 2, 0), (2, 2, 0), (2, 2, 4), (3, 2, 0), (3, 2, 4)),
 )
-TESTED: tuple[Order, ...] = ((2, 2, 0), (2, 1, 8), (3, 1, 4), (4, 2, 0))
 ARX = (
-    *(Entry(f"Figure {n}", f"{label(o)} roll model", _fit_arx("roll", o)) for n, o in FITS),
-    Entry(
-        "Table 7.3",
-        "Top results of the iterative ARX identification (roll)",
-        _table("roll", ROLL_ARX),
-    ),
-    *(
-        Entry(f"Figure 7.{45 + i}", f"{label(o)} roll model step responses", _steps("roll", o))
-        for i, o in enumerate(TESTED)
-    ),
-    *(
-        Entry(f"Figure 7.{49 + i}", f"{label(o)} roll model cross-correlation", _cross("roll", o))
-        for i, o in enumerate(TESTED)
-    ),
+    *_of_roll(34, "roll model", _fit_arx, FITS),
+    Entry("Table 7.3", "Top results of the iterative ARX identification (roll)", _table, ("roll",)),
+    *_of_roll(45, "roll model step responses", _steps, ROLL_STEPS),
+    *_of_roll(49, "roll model cross-correlation", _cross, CROSS),
     Entry("Figure 7.53", "Roll model with pitch axis data", _roll_on_pitch),
     Entry("Table 7.4", "Performance of the selected ARX model (roll and pitch)", _performance),
-    Entry("Table 7.5", "Top results of ARX identification (yaw)", _table("yaw", YAW_ARX)),
-    Entry("Figure 7.54", f"{label(CHOSEN)} yaw model", _fit_arx("yaw", CHOSEN)),
-    Entry("Figure 7.55", f"{label(CHOSEN)} yaw model step responses", _steps("yaw", CHOSEN)),
-    Entry("Figure 7.56", f"{label(CHOSEN)} yaw model cross-correlation", _cross("yaw", CHOSEN)),
+    Entry("Table 7.5", "Top results of ARX identification (yaw)", _table, ("yaw",)),
+    Entry("Figure 7.54", f"{label(CHOSEN)} yaw model", _fit_arx, ("yaw", CHOSEN)),
+    Entry("Figure 7.55", f"{label(CHOSEN)} yaw model step responses", _steps, ("yaw", CHOSEN)),
+    Entry("Figure 7.56", f"{label(CHOSEN)} yaw model cross-correlation", _cross, ("yaw", CHOSEN)),
     Entry("Section 7.3.8", "Model decision", _decision),
 )

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
     from groundstation.identification.estimate import CorrelationTest
 
-# What the thesis prints of identification; of its controllers see ``control.thesis_tables``.
+# What the thesis prints of identification; of its controllers see ``control/linear_loop.py``.
 
 
 PACKET = (
@@ -147,7 +148,6 @@ WITHOUT = (
 
 # Flights, bench runs, models: each made by a command that anybody can type, when first needed.
 
-
 Value = TypeVar("Value")
 
 FLY = "python -m firmware_sim"
@@ -213,31 +213,21 @@ class Workshop:
         self._used = []
 
     def commands(self) -> tuple[list[str], list[str]]:
-        """(the commands that made what was used since ``begin``, those and all that they need;
-        both in the order in which they make it from nothing)."""
+        """The commands that made what was used since ``begin``, and those with all that they need;
+        both in the order in which they make it from nothing."""
         direct = [line for name, line in RECIPES.items() if name in self._used]
-        found: list[str] = []
-        for name in self._used:
-            found += [line for line in chain(name) if line not in found]
-        return direct, found
+        needed = dict.fromkeys(file for name in self._used for file in chain(name))
+        return direct, [RECIPES[file] for file in needed]
 
     def use(self, name: str) -> str:
         """Make sure that a file is there; its full path."""
         if name not in self._used:
             self._used.append(name)
-        self._provide(name)
+        for file in chain(name):
+            if not (self._shell.folder / file).exists():
+                command, _, into = RECIPES[file].partition(" > ")
+                self._shell.run(*shlex.split(command), into=into or None)
         return str(self._shell.folder / name)
-
-    def _provide(self, name: str) -> None:
-        if (self._shell.folder / name).exists():
-            return
-        for needed in _needs(name):
-            self._provide(needed)
-        words = shlex.split(RECIPES[name])
-        if ">" in words:
-            self._shell.run(*words[: words.index(">")], into=words[-1])
-        else:
-            self._shell.run(*words)
 
     def samples(self, name: str) -> SampleBatch:
         """A recording's rows."""
@@ -256,13 +246,8 @@ class Workshop:
 
     def said(self, name: str) -> Any:
         """What a command printed with --json."""
-        path = self.use(name)
-
-        def read() -> Any:
-            with open(path, encoding="utf-8") as file:
-                return json.load(file)
-
-        return self.once(("said", name), read)
+        path = Path(self.use(name))
+        return self.once(("said", name), lambda: json.loads(path.read_text(encoding="utf-8")))
 
     def once(self, key: Any, make: Callable[[], Value]) -> Value:
         """What was made under this key before, or makes it."""
@@ -273,16 +258,10 @@ class Workshop:
 
 
 def chain(name: str) -> list[str]:
-    """The commands that make a file from nothing, in order."""
-    found: list[str] = []
-    for needed in _needs(name):
-        found += [line for line in chain(needed) if line not in found]
-    return [*found, RECIPES[name]] if name in RECIPES else found
-
-
-def _needs(name: str) -> list[str]:
-    words = shlex.split(RECIPES.get(name, ""))
-    return [word for word in words if word in RECIPES and word != name]
+    """The files whose commands make a file from nothing, in order, itself the last."""
+    needed = [word for word in RECIPES.get(name, "").split() if word in RECIPES and word != name]
+    first = dict.fromkeys(file for one in needed for file in chain(one))
+    return [*first, name] if name in RECIPES else []
 
 
 # A table or figure of the thesis, and what is made of it here.
@@ -296,10 +275,6 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     caption: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
-        """Head and rows."""
-        return {"head": list(self.head), "rows": [list(row) for row in self.rows]}
-
 
 @dataclass(frozen=True, slots=True)
 class Made:
@@ -312,11 +287,17 @@ class Made:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """number: as printed, "Table 7.1". make: draws it from what the workshop has."""
+    """number: as printed, "Table 7.1". make: draws it from what the workshop has, and ``given``."""
 
     number: str
     title: str
-    make: Callable[[Workshop], Made]
+    make: Callable[..., Made]
+    given: tuple[Any, ...] = ()
+
+    @property
+    def names(self) -> set[str]:
+        """What it is asked for by: "Table 7.1" and "7.1"."""
+        return {self.number, self.number.split()[1]}
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from groundstation.identification.runs import (
     both_settings,
 )
 from groundstation.prediction.prediction import Observed
-from groundstation.telemetry.arrays import Array
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S, STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch, filled
 
@@ -72,15 +72,8 @@ class Piece:
 
     def since(self, row: int) -> Piece:
         """The same from a row on."""
-        return Piece(
-            self.period_s,
-            self.duty[row:],
-            self.supply_v[row:],
-            self.gyro[row:],
-            self.accelerometer[row:],
-            self.attitude[row:],
-            self.duty_step[row:],
-        )
+        columns = [getattr(self, one.name) for one in fields(self)[1:]]
+        return Piece(self.period_s, *(column[row:] for column in columns))
 
 
 class Rows:
@@ -106,16 +99,8 @@ class Rows:
         place = np.cumsum(steps).astype(np.int64) - 1
         rows = int(place[-1]) + 1
         new = np.full((rows, WIDTH), np.nan)
-        new[place] = np.column_stack(
-            [
-                samples.duty,
-                samples.battery_v,
-                samples.gyro,
-                samples.accelerometer,
-                samples.attitude,
-                samples.duty_step,
-            ]
-        )
+        measured = samples.duty, samples.battery_v, samples.gyro, samples.accelerometer
+        new[place] = np.column_stack([*measured, samples.attitude, samples.duty_step])
         inputs = new[:, DUTY], new[:, STEP], new[:, SUPPLY]
         new[:, DUTY], new[:, STEP] = at_the_rows_voltage(*inputs, self._answer.learn(*inputs))
         # With the row before, so that what is lost first lies between two neighbours.
@@ -139,15 +124,8 @@ class Rows:
     def piece(self, first: int, last: int) -> Piece:
         """Rows ``first`` to ``last`` (exclusive)."""
         part = self._table[first - self.first : last - self.first]
-        return Piece(
-            self.period_s,
-            np.ascontiguousarray(part[:, :4]),
-            np.ascontiguousarray(part[:, 4]),
-            np.ascontiguousarray(part[:, 5:8]),
-            np.ascontiguousarray(part[:, 8:11]),
-            np.ascontiguousarray(part[:, 11:14]),
-            np.ascontiguousarray(part[:, 14:18]),
-        )
+        columns = DUTY, SUPPLY, slice(5, 8), slice(8, 11), slice(11, 14), STEP
+        return Piece(self.period_s, *(np.ascontiguousarray(part[:, one]) for one in columns))
 
     def time_s(self, first: int, last: int) -> Array:
         """Device time of rows."""
@@ -221,76 +199,66 @@ class Kind:
     drive: str
 
 
-def _kinds() -> tuple[Kind, ...]:
-    kinds = []
-
-    def add(acts: str, axis: int, *pairs: tuple[str, str]) -> None:
-        first = {"torque": 0, "force": 3, "gyro": 0, "angle": 6}[acts]
-        for regime, drive in pairs:
-            kinds.append(Kind(Place(CHANNELS[first + axis], regime), acts, axis, drive))
-
-    for axis, (own, other) in enumerate((("roll", "pitch"), ("pitch", "roll"))):
-        rate, crossed, along = (("p", "qr", "v"), ("q", "pr", "u"))[axis]
-        add(
-            "torque",
-            axis,
-            (WHOLE, "thrust"),
-            (TILTING, f"{own} torque"),
-            (TILTING, f"{own} change"),
-            (TILTING, f"{other} torque"),
-            (YAWING, "yaw torque"),
-            (TURNING, rate),
-            (SEVERAL, crossed),
-            ("translation", along),
-            (YAWING, f"{other} momentum"),
-            (BRAKING, f"{own} braking"),
-        )
-    add(
-        "torque",
-        2,
-        (WHOLE, "thrust"),
-        (YAWING, "yaw torque"),
-        (TILTING, "roll torque"),
-        (TILTING, "pitch torque"),
-        (SPINNING, "r"),
-        (SEVERAL, "pq"),
-        (ROTORS, "spin change"),
-        (ROTORS, "yaw change"),
-        (BRAKING, "yaw braking"),
-    )
-    for axis, (along, lever) in enumerate((("u", "pitch torque"), ("v", "roll torque"))):
-        add(
-            "force",
-            axis,
-            (WHOLE, "one"),
-            ("translation", along),
-            (TILTING, lever),
-            (YAWING, "yaw torque"),
-            ("high thrust", "more thrust"),
-            (SPINNING, "rr"),
-        )
-    add(
-        "force",
-        2,
-        (WHOLE, "one"),
-        ("high thrust", "more thrust"),
-        ("climb", "w"),
-        ("thrust change", "thrust change"),
-        (BRAKING, "braking"),
-        ("near ground", "near"),
-        (TILTING, "roll torque"),
-        (TILTING, "pitch torque"),
-        (TURNING, "pp+qq"),
-    )
-    for axis, own in enumerate(("roll", "pitch", "yaw")):
-        add("gyro", axis, (YAWING if axis == 2 else TILTING, f"{own} torque"))
-    for axis, tilt in enumerate(("tilt x", "tilt y")):
-        add("angle", axis, (WHOLE, "one"), ("tilted", tilt))
-    add("angle", 2, (WHOLE, "one"))
-    return tuple(kinds)
-
-
-KINDS = _kinds()
+_SHOWN: tuple[tuple[Any, ...], ...] = (
+    ("torque", 0, WHOLE, "thrust"),
+    ("torque", 0, TILTING, "roll torque", "roll change", "pitch torque"),
+    ("torque", 0, YAWING, "yaw torque"),
+    ("torque", 0, TURNING, "p"),
+    ("torque", 0, SEVERAL, "qr"),
+    ("torque", 0, "translation", "v"),
+    ("torque", 0, YAWING, "pitch momentum"),
+    ("torque", 0, BRAKING, "roll braking"),
+    ("torque", 1, WHOLE, "thrust"),
+    ("torque", 1, TILTING, "pitch torque", "pitch change", "roll torque"),
+    ("torque", 1, YAWING, "yaw torque"),
+    ("torque", 1, TURNING, "q"),
+    ("torque", 1, SEVERAL, "pr"),
+    ("torque", 1, "translation", "u"),
+    ("torque", 1, YAWING, "roll momentum"),
+    ("torque", 1, BRAKING, "pitch braking"),
+    ("torque", 2, WHOLE, "thrust"),
+    ("torque", 2, YAWING, "yaw torque"),
+    ("torque", 2, TILTING, "roll torque", "pitch torque"),
+    ("torque", 2, SPINNING, "r"),
+    ("torque", 2, SEVERAL, "pq"),
+    ("torque", 2, ROTORS, "spin change", "yaw change"),
+    ("torque", 2, BRAKING, "yaw braking"),
+    ("force", 0, WHOLE, "one"),
+    ("force", 0, "translation", "u"),
+    ("force", 0, TILTING, "pitch torque"),
+    ("force", 0, YAWING, "yaw torque"),
+    ("force", 0, "high thrust", "more thrust"),
+    ("force", 0, SPINNING, "rr"),
+    ("force", 1, WHOLE, "one"),
+    ("force", 1, "translation", "v"),
+    ("force", 1, TILTING, "roll torque"),
+    ("force", 1, YAWING, "yaw torque"),
+    ("force", 1, "high thrust", "more thrust"),
+    ("force", 1, SPINNING, "rr"),
+    ("force", 2, WHOLE, "one"),
+    ("force", 2, "high thrust", "more thrust"),
+    ("force", 2, "climb", "w"),
+    ("force", 2, "thrust change", "thrust change"),
+    ("force", 2, BRAKING, "braking"),
+    ("force", 2, "near ground", "near"),
+    ("force", 2, TILTING, "roll torque", "pitch torque"),
+    ("force", 2, TURNING, "pp+qq"),
+    ("gyro", 0, TILTING, "roll torque"),
+    ("gyro", 1, TILTING, "pitch torque"),
+    ("gyro", 2, YAWING, "yaw torque"),
+    ("angle", 0, WHOLE, "one"),
+    ("angle", 0, "tilted", "tilt x"),
+    ("angle", 1, WHOLE, "one"),
+    ("angle", 1, "tilted", "tilt y"),
+    ("angle", 2, WHOLE, "one"),
+)
+"""How a signal acts, its axis, the regime in which it shows, and what drives it."""
+_FIRST = {"torque": 0, "force": 3, "gyro": 0, "angle": 6}
+KINDS = tuple(
+    Kind(Place(CHANNELS[_FIRST[acts] + axis], regime), acts, axis, drive)
+    for acts, axis, regime, *drives in _SHOWN
+    for drive in drives
+)
 """Every signal that is looked for."""
 
 PHASE = 1.0 / np.sqrt(12.0)
@@ -309,7 +277,7 @@ SHARED = tuple(
     or kind.drive == "one"
     or kind.acts == "gyro"
     or (kind.acts, kind.drive) == ("force", "more thrust")
-    or (kind.acts == "torque" and kind.drive == f"{('roll', 'pitch', 'yaw')[kind.axis]} torque")
+    or (kind.acts == "torque" and kind.drive == f"{AXES[kind.axis]} torque")
 )
 """Signals of which a good model may still show a little, and that others must not borrow from."""
 
@@ -364,70 +332,48 @@ def _allowance(number: int, delay_s: float) -> float:
     raise KeyError(kind)
 
 
-@dataclass
-class Drives:
-    """What drives the signals, on the rows of a stretch; all but the first row count.
+def drives(
+    seen: Observed, configuration: Configuration, since_lift_s: Array, memory: Memory
+) -> Array:
+    """What drives the signals on the rows of a stretch, (n - 1, len(KINDS)): row k acts from row k
+    to k + 1.
 
     since_lift_s: (n,) time since a take-off. memory: what is carried from part to part.
     """
-
-    seen: Observed
-    configuration: Configuration
-    since_lift_s: Array
-    memory: Memory
-
-    def columns(self) -> Array:
-        """(n - 1, len(KINDS)): row k acts from row k to k + 1 of the stretch."""
-        made = self._made
-        return np.column_stack([made[kind.drive] for kind in KINDS])
-
-    @cached_property
-    def _made(self) -> dict[str, Array]:
-        seen = self.seen
-        n, period = len(seen.states), seen.drive.period_s
-        middle = seen.drive.push[1 : 2 * n - 2 : 2]
-        thrust, torque = middle[:, 0], middle[:, 2:]
-        change = np.diff(seen.drive.push[0 : 2 * n - 1 : 2], axis=0) / period
-        speed = seen.drive.speed[0 : 2 * n - 1 : 2]
-        slope = np.diff(speed, axis=0) / period
-        slowed = self.memory.leak(np.minimum(slope, 0.0), period) * speed[1:]
-        mixed = slowed @ MIXERS[self.configuration].T
-        p, q, r = seen.states[:-1, RATE].T
-        turn = matrix_of_quaternion(seen.states[:-1, QUATERNION])
-        u, v, w = np.einsum("nij,ni->nj", turn, seen.states[:-1, VELOCITY]).T
-        climb = seen.states[:-1, VELOCITY][:, 2]
-        height = self.memory.climb(climb, self.since_lift_s[:-1], period)
-        spin = REVOLUTION * speed[:-1] @ SPIN
-        near = np.where(
-            np.isfinite(height), thrust * np.exp(-np.maximum(height, 0.0) / NEAR_M), 0.0
-        )
-        return {
-            "one": np.ones(n - 1),
-            "thrust": thrust,
-            "more thrust": thrust - STANDARD_GRAVITY,
-            "thrust change": change[:, 0],
-            **{f"{a} torque": torque[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
-            **{f"{a} change": change[:, 2 + k] for k, a in enumerate(("roll", "pitch", "yaw"))},
-            **{f"{a} braking": mixed[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
-            "braking": slowed.sum(axis=1),
-            "p": p,
-            "q": q,
-            "r": r,
-            "qr": q * r,
-            "pr": p * r,
-            "pq": p * q,
-            "rr": r * r,
-            "pp+qq": p * p + q * q,
-            "u": u,
-            "v": v,
-            "w": w,
-            "pitch momentum": q * spin,
-            "roll momentum": p * spin,
-            "spin change": np.diff(speed @ SPIN) * REVOLUTION / period,
-            "tilt x": turn[:, 2, 1],
-            "tilt y": -turn[:, 2, 0],
-            "near": near,
-        }
+    n, period = len(seen.states), seen.drive.period_s
+    middle = seen.drive.push[1 : 2 * n - 2 : 2]
+    thrust, torque = middle[:, 0], middle[:, 2:]
+    change = np.diff(seen.drive.push[0 : 2 * n - 1 : 2], axis=0) / period
+    speed = seen.drive.speed[0 : 2 * n - 1 : 2]
+    slope = np.diff(speed, axis=0) / period
+    slowed = memory.leak(np.minimum(slope, 0.0), period) * speed[1:]
+    mixed = slowed @ MIXERS[configuration].T
+    p, q, r = seen.states[:-1, RATE].T
+    turn = matrix_of_quaternion(seen.states[:-1, QUATERNION])
+    velocity = seen.states[:-1, VELOCITY]
+    u, v, w = np.einsum("nij,ni->nj", turn, velocity).T
+    height = memory.climb(velocity[:, 2], since_lift_s[:-1], period)
+    spin = REVOLUTION * speed[:-1] @ SPIN
+    fading = np.exp(-np.maximum(height, 0.0) / NEAR_M)
+    made = {
+        "one": np.ones(n - 1),
+        "thrust": thrust,
+        "more thrust": thrust - STANDARD_GRAVITY,
+        "thrust change": change[:, 0],
+        **{f"{axis} torque": torque[:, k] for k, axis in enumerate(AXES)},
+        **{f"{axis} change": change[:, 2 + k] for k, axis in enumerate(AXES)},
+        **{f"{axis} braking": mixed[:, k] for k, axis in enumerate(AXES)},
+        "braking": slowed.sum(axis=1),
+        **{"p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q},
+        **{"rr": r * r, "pp+qq": p * p + q * q, "u": u, "v": v, "w": w},
+        "pitch momentum": q * spin,
+        "roll momentum": p * spin,
+        "spin change": np.diff(speed @ SPIN) * REVOLUTION / period,
+        "tilt x": turn[:, 2, 1],
+        "tilt y": -turn[:, 2, 0],
+        "near": np.where(np.isfinite(height), thrust * fading, 0.0),
+    }
+    return np.column_stack([made[kind.drive] for kind in KINDS])
 
 
 class Memory:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,12 @@ from groundstation.twin.signals import (
     KINDS,
     RHYTHM_ROWS,
     SHARED,
-    Drives,
     Memory,
     Piece,
     Place,
     Rows,
     allowances,
+    drives,
     entries,
     period_of,
     unbroken,
@@ -195,9 +195,9 @@ class _Stretch:
         )
         rows = np.arange(done, done + count + 1)
         since_lift = np.asarray((rows - self._lifted) * self.rows.period_s, np.float64)
-        drives = Drives(seen, self._owner._configuration, since_lift, self._memory)
+        driven = drives(seen, self._owner._configuration, since_lift, self._memory)
         square, scores = self._score(
-            drives.columns(), seen.innovations[1:], fresh[1 : count + 1], flying, judged
+            driven, seen.innovations[1:], fresh[1 : count + 1], flying, judged
         )
         starts = np.arange(0, count, self._stride)
         ahead = fly_ahead(piece, seen, starts, self._horizons)
@@ -246,14 +246,8 @@ class _Stretch:
         """See ``kernels.score``: square, (total, energy, meant, mixed)."""
         from groundstation.twin.kernels import WINDOW_ROWS, score
 
-        count = len(KINDS)
-        square = np.zeros(10)
-        scores = (
-            np.zeros((9, count)),
-            np.zeros((9, count)),
-            np.zeros((9, len(SHARED), count)),
-            np.zeros((9, len(SHARED), count)),
-        )
+        square, two, three = np.zeros(10), (9, len(KINDS)), (9, len(SHARED), len(KINDS))
+        scores = np.zeros(two), np.zeros(two), np.zeros(three), np.zeros(three)
         if not flying[1:].any():
             self._open = _OpenPredictions(len(self._advance))
             return square, scores
@@ -384,17 +378,9 @@ def _expected(
 
 
 def _require_inputs(samples: SampleBatch) -> None:
-    lacking = [
-        what
-        for name, what in (
-            ("duty", "motors"),
-            ("battery_v", "battery voltage"),
-            ("gyro", "gyro"),
-            ("accelerometer", "accelerometer"),
-            ("attitude", "attitude"),
-        )
-        if np.isnan(getattr(samples, name)).all()
-    ]
+    channels = {"duty": "motors", "battery_v": "battery voltage"}
+    channels |= {name: name for name in ("gyro", "accelerometer", "attitude")}
+    lacking = [what for name, what in channels.items() if np.isnan(getattr(samples, name)).all()]
     if lacking:
         raise BadInputError(f"the twin cannot fly: the telemetry has no {', '.join(lacking)}")
 
@@ -536,11 +522,8 @@ class Judge:
 
     def interrupt(self, why: str) -> list[Episode]:
         """Nothing after this belongs to what came before: landing, restart, silence."""
-        ended = [
-            self._ended(one, self._until[0], self._until[1], why)
-            for one in self._open.values()
-            if one.told is not None
-        ]
+        lasting = (one for one in self._open.values() if one.told is not None)
+        ended = [self._ended(one, *self._until, why) for one in lasting]
         self._open, self._waiting = {}, []
         self._past.clear()
         self._meant[:], self._mixed[:] = 0.0, 0.0
@@ -625,8 +608,9 @@ class Judge:
         one = self._open.get(family)
         if one is None:
             if value > self._limit:
-                first = self._past[max(len(self._past) - window, 0)].first_s
-                self._open[family] = _Open(kind, whole, first, self._shown(kind, window))
+                parts = list(self._past)[-window:]
+                needed = float(sum(part.energy[kind] for part in parts))
+                self._open[family] = _Open(kind, whole, parts[0].first_s, needed)
             return None
         if whole > one.statistic:
             one.statistic = whole
@@ -658,23 +642,9 @@ class Judge:
         del self._open[family]
         return self._ended(one, block.last_s, block.host_ns, "the model predicts it again")
 
-    def _shown(self, kind: int, window: int) -> float:
-        parts = list(self._past)[-window:]
-        return float(sum(part.energy[kind] for part in parts))
-
     def _ended(self, one: _Open, end_s: float, host_ns: int, why: str) -> Episode:
-        told = one.told
-        assert told is not None
-        return Episode(
-            told.place,
-            one.statistic,
-            told.begin_s,
-            told.noticed_s,
-            told.segment,
-            host_ns,
-            end_s,
-            why,
-        )
+        assert one.told is not None
+        return replace(one.told, statistic=one.statistic, host_ns=host_ns, end_s=end_s, why=why)
 
 
 def _is_finite(block: Block) -> bool:
@@ -735,7 +705,7 @@ class Shown:
     """Half a second for the eye.
 
     segment, time_s: (m,) of the device. measured, predicted: (m, 9) SI, in the order of
-    ``discrepancy.findings.CHANNELS``, the latter from 50 ms before. gap: (9,) prediction error
+    ``gap.CHANNELS``, the latter from 50 ms before. gap: (9,) prediction error
     20 and 50 ms ahead over what the noise of quiet stretches leaves; NaN where it was not judged.
     """
 

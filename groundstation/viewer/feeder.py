@@ -36,13 +36,11 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.viewer.messages import (
     MAX_BYTES,
     Acknowledgement,
-    EventMessage,
-    SamplesMessage,
-    StatisticsMessage,
-    TableMessage,
-    TwinMessage,
     decode_message,
     encode_message,
+    predictions_in,
+    samples_in,
+    unpacked,
 )
 
 # The live twin as rerun columns: what was measured, what was predicted, and the gap.
@@ -240,24 +238,23 @@ def _feed(
             if not data:
                 stream.flush(timeout_sec=0.5)
                 return 0
+            rows = 1
             match decode_message(data):
-                case SamplesMessage() as message:
-                    log.samples(message.batch())
-                    taken += message.rows
-                case EventMessage(entry):
-                    log.entries(EVENTS, [entry])
-                    taken += 1
-                case StatisticsMessage(entry):
-                    log.statistics([entry])
-                    taken += 1
-                case TableMessage() as message:
-                    times_ns = np.frombuffer(message.times_ns, np.int64)
-                    for column, values in message.columns.items():
-                        log.series([message.name, column], times_ns, np.frombuffer(values))
-                    taken += 1
-                case TwinMessage() as message:
-                    beside.show(message.segment, *message.arrays())
-                    taken += 1
+                case "samples", content:
+                    batch = samples_in(content)
+                    log.samples(batch)
+                    rows = len(batch)
+                case "event", content:
+                    log.entries(EVENTS, [content])
+                case "statistics", content:
+                    log.statistics([content])
+                case "table", content:
+                    times_ns = unpacked(content["times_ns"])
+                    for column, values in content["columns"].items():
+                        log.series([content["name"], column], times_ns, unpacked(values))
+                case "twin", content:
+                    beside.show(content["segment"], *predictions_in(content))
+            taken += rows
         if time.monotonic() >= next_check:
             # flush() alone finds a stopped server only when megabytes have piled up
             if not _server_answers(server):

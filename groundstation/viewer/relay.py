@@ -342,22 +342,27 @@ def _stranger(writer: asyncio.StreamWriter) -> str | None:
     """
     ours = _in_table(writer.get_extra_info("sockname"))
     theirs = _in_table(writer.get_extra_info("peername"))
-    rows = [line.split() for line in _CONNECTIONS.read_text().splitlines()[1:]]
-    if not any(row[1:3] == [ours, theirs] for row in rows):
+    rows = _connections()
+    if (ours, theirs) not in rows:
         return None  # a kernel that does not show its connections
-    owners = [int(row[7]) for row in rows if row[1:4] == [theirs, ours, _ESTABLISHED]]
-    if not owners:
+    state, _, owner = rows.get((theirs, ours), ("", "", ""))
+    if state != _ESTABLISHED:
         return "nobody that could be told"
-    return None if owners[0] in (0, os.getuid()) else f"user {owners[0]}"
+    return None if int(owner) in (0, os.getuid()) else f"user {owner}"
+
+
+def _connections() -> dict[tuple[str, str], tuple[str, str, str]]:
+    """(one end, other end) -> state, queues, owner of each of this machine's connections."""
+    rows = (line.split() for line in _CONNECTIONS.read_text().splitlines()[1:])
+    return {(row[1], row[2]): (row[3], row[4], row[7]) for row in rows}
 
 
 def _held_by_kernel() -> dict[tuple[str, str], tuple[int, int]]:
     """(one end, other end) -> bytes that were not acknowledged, and that nobody has read."""
     held = {}
-    for line in _CONNECTIONS.read_text().splitlines()[1:]:
-        _, ours, theirs, _, queues, *_ = line.split()
+    for ends, (_, queues, _) in _connections().items():
         sent, _, received = queues.partition(":")
-        held[ours, theirs] = int(sent, 16), int(received, 16)
+        held[ends] = int(sent, 16), int(received, 16)
     return held
 
 

@@ -21,15 +21,14 @@ from urllib.parse import quote
 
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.command import LinkEvent
-from groundstation.rerun_log.installed import rerun_command, rerun_program
+from groundstation.rerun_log.channels import rerun_command, rerun_program
 from groundstation.telemetry.decoder import LinkStatistics
 from groundstation.telemetry.samples import LogTable, SampleBatch
 from groundstation.viewer.child import Child, ViewerMode, free_port, listen_on
 from groundstation.viewer.messages import (
     MAX_BYTES,
     MAX_ROWS,
-    Note,
-    SamplesMessage,
+    Message,
     decode_acknowledgement,
     encode_message,
     message_of,
@@ -55,7 +54,7 @@ class Outbox:
         self._max_rows = max_rows
         self._batches: deque[SampleBatch] = deque()
         self._rows = 0
-        self._notes: deque[Note] = deque()
+        self._notes: deque[Message] = deque()
         self._max_notes = max_notes
         self._untaken = 0
         self._taken = 0
@@ -75,7 +74,7 @@ class Outbox:
                 self._rows -= len(oldest)
                 self.dropped += len(oldest)
 
-    def put_note(self, note: Note) -> None:
+    def put_note(self, note: Message) -> None:
         self._notes.append(note)
         if len(self._notes) > self._max_notes:
             self._notes.popleft()
@@ -89,7 +88,7 @@ class Outbox:
         while self._batches:
             batches = self._next_run()
             batch = batches[0] if len(batches) == 1 else SampleBatch.concatenate(batches)
-            if not _send(channel, encode_message(SamplesMessage.of(batch))):
+            if not _send(channel, encode_message(message_of(batch))):
                 return
             for _ in batches:
                 self._batches.popleft()
@@ -356,49 +355,23 @@ class Viewer:
             address = f"127.{'.'.join(str(1 + secrets.randbelow(254)) for _ in range(3))}"
             port, web_port = free_port(address), free_port(address)
             self._inner = address, port
-            self._server = Child(
-                [
-                    str(rerun_program()),
-                    "--serve-web",
-                    "--bind",
-                    address,
-                    "--port",
-                    str(port),
-                    "--web-viewer-port",
-                    str(web_port),
-                    "--server-memory-limit",
-                    SERVER_MEMORY,
-                ]
+            options = (
+                f"--serve-web --bind {address} --port {port} --web-viewer-port {web_port}"
+                f" --server-memory-limit {SERVER_MEMORY}"
             )
+            self._server = Child([str(rerun_program()), *options.split()])
             numbers = [one.fileno() for one in self._listening]
-            self._relay = Child(
-                [
-                    sys.executable,
-                    "-m",
-                    "groundstation.viewer.relay",
-                    *map(str, numbers),
-                    address,
-                    str(port),
-                    str(web_port),
-                ],
-                pass_fds=numbers,
-            )
+            relay = sys.executable, "-m", "groundstation.viewer.relay"
+            words = map(str, (*numbers, address, port, web_port))
+            self._relay = Child([*relay, *words], pass_fds=numbers)
             self._relay_heard_at = now
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         with theirs:
             self._channel = ours
-            feeder = [sys.executable, "-m", "groundstation.viewer.feeder"]
-            self._feeder = Child(
-                [
-                    *feeder,
-                    str(theirs.fileno()),
-                    *map(str, self._inner),
-                    self._recording,
-                    self._layout,
-                ],
-                pass_fds=[theirs.fileno()],
-            )
+            feeder = sys.executable, "-m", "groundstation.viewer.feeder"
+            words = map(str, (theirs.fileno(), *self._inner, self._recording, self._layout))
+            self._feeder = Child([*feeder, *words], pass_fds=[theirs.fileno()])
         self._heard_at, self._ready_at = now, None
 
     def _listen(self, now: float) -> None:
@@ -433,19 +406,11 @@ class Viewer:
 
     def _open_window(self) -> None:
         if self._wants_window and self._window is None:
-            self._window = Child(
-                [
-                    str(rerun_program()),
-                    "--connect",
-                    self._address(),
-                    "--bind",
-                    "127.0.0.1",
-                    "--memory-limit",
-                    WINDOW_MEMORY,
-                    "--hide-welcome-screen",
-                    "--expect-data-soon",
-                ]
+            options = (
+                f"--connect {self._address()} --bind 127.0.0.1 --memory-limit {WINDOW_MEMORY}"
+                " --hide-welcome-screen --expect-data-soon"
             )
+            self._window = Child([str(rerun_program()), *options.split()])
 
     def _watch_window(self) -> None:
         if self._window is None:

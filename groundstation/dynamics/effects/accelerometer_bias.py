@@ -4,15 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    FORCE,
-    STEADY,
-    TRANSLATE,
-    Confusion,
-    Effect,
-    Parameter,
-    Reading,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter, Reading
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 
@@ -39,14 +32,14 @@ EFFECT = Effect(
     adds="a constant added to the accelerometer",
     signature="specific force is off by the same amount at any thrust and speed",
     excited_by="start and end at rest; steps of collective thrust",
-    channels=FORCE,
-    regimes=STEADY,
+    channels=effect.FORCE,
+    regimes=effect.STEADY,
     negligible=0.003,
     because="the velocity that is integrated from it is known to some cm/s: an offset of a sixth of"
     " a degree of tilt is what the rates make of that",
     needs=("accelerometer",),
     confused_with=(
         Confusion("imu_misalignment", "thrust steps: a tilt of the sensor grows with thrust"),
-        Confusion("rotor_drag", TRANSLATE),
+        Confusion("rotor_drag", effect.TRANSLATE),
     ),
 )

@@ -1,24 +1,14 @@
 """The firmware's low-pass behind the accelerometer: as ``gyro_filter``, of the specific force.
 
-Source: ``on_board_filter.py``; 30 Hz on today's crafts.
+Source: ``effect.on_board_filter``; 30 Hz on today's crafts.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    FORCE,
-    ROTORS,
-    STEADY,
-    THRUST,
-    THRUST_STEPS,
-    TILTING,
-    Confusion,
-    Reading,
-    butterworth_slopes,
-    on_board_filter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Reading, butterworth_slopes, on_board_filter
 
 
 def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:
@@ -31,13 +21,13 @@ def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:
 EFFECT = on_board_filter(
     "accelerometer_filter",
     law,
-    FORCE,
+    effect.FORCE,
     "accelerometer",
     corner=(30.0, 10.0),
     longest_s=0.02,
     order=1,  # of the force where the sensor is
-    excited_by=THRUST_STEPS,
-    regimes=TILTING | THRUST | ROTORS | STEADY,
+    excited_by=effect.THRUST_STEPS,
+    regimes=effect.TILTING | effect.THRUST | effect.ROTORS | effect.STEADY,
     needs=("accelerometer",),
-    confused_with=(Confusion("dead_time", f"{THRUST_STEPS}: a delay moves all channels"),),
+    confused_with=(Confusion("dead_time", f"{effect.THRUST_STEPS}: a delay moves all channels"),),
 )

@@ -1,7 +1,7 @@
 """Reported angles of a Mahony filter at the firmware's gains: 1 is full, 0 the truth.
 
 Source: Mahony, Hamel and Pflimlin, 2008, as the Crazyflie firmware has it
-(``dynamics/attitude_filter.py``): the estimate leans towards what the accelerometer feels.
+(``dynamics/sensing.py``): the estimate leans towards what the accelerometer feels.
 """
 
 from __future__ import annotations
@@ -25,14 +25,7 @@ EFFECT = Effect(
     law=law,
     parameters=(
         Parameter(
-            "strength",
-            "",
-            default=1.0,
-            low=0.05,
-            high=1.5,
-            bounds=(-1.5, 1.5),
-            step=0.05,
-            near=0.1,
+            "strength", "", default=1.0, low=0.05, high=1.5, bounds=(-1.5, 1.5), step=0.05, near=0.1
         ),
     ),
     adds="reported angles are a Mahony filter's at the firmware's gains: 1 is full, 0 the truth",

@@ -7,19 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    ANGLES,
-    DOUBLETS,
-    FORCE,
-    GYRO,
-    ROTORS,
-    STEADY,
-    TILTING,
-    YAWING,
-    Confusion,
-    Effect,
-    Parameter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter
 
 
 def law(values: Any) -> float:
@@ -48,11 +37,11 @@ EFFECT = Effect(
     ),
     adds="all measured outputs show the past by a pure delay",
     signature="rates, attitude and specific force all answer the motors late by the same time",
-    excited_by=DOUBLETS,
-    channels=(*GYRO, *FORCE, *ANGLES),
-    regimes=TILTING | YAWING | ROTORS | STEADY,
+    excited_by=effect.DOUBLETS,
+    channels=(*effect.GYRO, *effect.FORCE, *effect.ANGLES),
+    regimes=effect.TILTING | effect.YAWING | effect.ROTORS | effect.STEADY,
     confused_with=(
-        Confusion("gyro_low_pass", f"{DOUBLETS}: a low-pass lags the gyro alone"),
+        Confusion("gyro_low_pass", f"{effect.DOUBLETS}: a low-pass lags the gyro alone"),
         Confusion("motor_braking_asymmetry", "thrust steps up and down: a delay is the same"),
     ),
 )

@@ -1,25 +1,14 @@
 """The firmware's low-pass behind the gyro: w'' = (2 pi f)^2 (rate - w) - sqrt(2) 2 pi f w'.
 
-Source: ``on_board_filter.py``; 80 Hz on today's crafts.
+Source: ``effect.on_board_filter``; 80 Hz on today's crafts.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    DOUBLETS,
-    GYRO,
-    ROTORS,
-    STEADY,
-    THRUST_STEPS,
-    TILTING,
-    YAWING,
-    Confusion,
-    Reading,
-    butterworth_slopes,
-    on_board_filter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Reading, butterworth_slopes, on_board_filter
 
 
 def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:
@@ -32,11 +21,13 @@ def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:
 EFFECT = on_board_filter(
     "gyro_filter",
     law,
-    GYRO,
+    effect.GYRO,
     "gyro",
     corner=(80.0, 20.0),
     longest_s=0.01,
-    excited_by=DOUBLETS,
-    regimes=TILTING | YAWING | ROTORS | STEADY,
-    confused_with=(Confusion("dead_time", f"{THRUST_STEPS}: a delay moves the force as well"),),
+    excited_by=effect.DOUBLETS,
+    regimes=effect.TILTING | effect.YAWING | effect.ROTORS | effect.STEADY,
+    confused_with=(
+        Confusion("dead_time", f"{effect.THRUST_STEPS}: a delay moves the force as well"),
+    ),
 )

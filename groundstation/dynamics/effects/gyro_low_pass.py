@@ -10,20 +10,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    DOUBLETS,
-    GYRO,
-    ROTORS,
-    STEADY,
-    TILTING,
-    TIME_CONSTANT,
-    YAWING,
-    Confusion,
-    Effect,
-    Parameter,
-    Reading,
-    State,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter, Reading, State
 
 WIDEST_S = 0.98e-3
 """Delay of the chip's widest setting, 256 Hz (data sheet, register 26)."""
@@ -48,7 +36,7 @@ EFFECT = Effect(
     name="gyro_low_pass",
     stage="sensor",
     law=law,
-    states=tuple(State(f"lagged {axis}", follows=axis) for axis in GYRO),
+    states=tuple(State(f"lagged {axis}", follows=axis) for axis in effect.GYRO),
     fastest=_fastest,
     parameters=(
         Parameter(
@@ -58,7 +46,7 @@ EFFECT = Effect(
             low=4.0,
             high=400.0,
             least=0.0,
-            unknown=TIME_CONSTANT,
+            unknown=effect.TIME_CONSTANT,
             bounds=(0.0, 0.05),
             step=1e-4,
             stride=3e-3,
@@ -67,10 +55,12 @@ EFFECT = Effect(
     ),
     adds="the gyro lags the true rate, first order; 0 Hz means no lag",
     signature="the gyro comes after the attitude that is its integral; fast motion is attenuated",
-    excited_by=DOUBLETS,
-    channels=GYRO,
-    regimes=TILTING | YAWING | ROTORS | STEADY,
+    excited_by=effect.DOUBLETS,
+    channels=effect.GYRO,
+    regimes=effect.TILTING | effect.YAWING | effect.ROTORS | effect.STEADY,
     negligible=WIDEST_S,
     because="the chip is that late with its low-pass wide open (MPU-6050 data sheet, register 26)",
-    confused_with=(Confusion("dead_time", f"{DOUBLETS}: a delay moves the attitude as well"),),
+    confused_with=(
+        Confusion("dead_time", f"{effect.DOUBLETS}: a delay moves the attitude as well"),
+    ),
 )

@@ -7,17 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    FORCE,
-    HOVER_DOUBLETS,
-    TILTING,
-    TRANSLATE,
-    YAWING,
-    Confusion,
-    Effect,
-    Parameter,
-    Reading,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter, Reading
 
 
 def law(values: Any, craft: Any, body: Any, reading: Any) -> Any:
@@ -47,10 +38,10 @@ EFFECT = Effect(
     adds="alpha x r + Omega x (Omega x r) in the accelerometer",
     signature="the accelerometer answers angular acceleration at once",
     excited_by="sharp doublets on all axes, a steady fast turn",
-    channels=FORCE,
-    regimes=TILTING | YAWING | {"rotor acceleration"},
+    channels=effect.FORCE,
+    regimes=effect.TILTING | effect.YAWING | {"rotor acceleration"},
     needs=("accelerometer",),
     negligible=5e-4,
     because="less than a battery moves the centre of gravity by when it is put back",
-    confused_with=(Confusion("rotor_drag", f"{HOVER_DOUBLETS}; {TRANSLATE}"),),
+    confused_with=(Confusion("rotor_drag", f"{effect.HOVER_DOUBLETS}; {effect.TRANSLATE}"),),
 )

@@ -8,17 +8,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    GYRO,
-    STEADY,
-    THRUST,
-    TILTING,
-    YAWING,
-    Confusion,
-    Effect,
-    Parameter,
-    Reading,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter, Reading
 
 
 def law(values: Any, craft: Any, body: Any, reading: Any) -> Any:
@@ -33,16 +24,8 @@ def law(values: Any, craft: Any, body: Any, reading: Any) -> Any:
     m21, m22, m23 = cp * sy, cr * cy + sp * sr * sy, cr * sp * sy - cy * sr
     m31, m32, m33 = -sp, cp * sr, cp * cr
     return Reading(
-        (
-            m11 * p + m21 * q + m31 * r,
-            m12 * p + m22 * q + m32 * r,
-            m13 * p + m23 * q + m33 * r,
-        ),
-        (
-            m11 * x + m21 * y + m31 * z,
-            m12 * x + m22 * y + m32 * z,
-            m13 * x + m23 * y + m33 * z,
-        ),
+        (m11 * p + m21 * q + m31 * r, m12 * p + m22 * q + m32 * r, m13 * p + m23 * q + m33 * r),
+        (m11 * x + m21 * y + m31 * z, m12 * x + m22 * y + m32 * z, m13 * x + m23 * y + m33 * z),
         reading.rotor,
     )
 
@@ -70,8 +53,8 @@ EFFECT = Effect(
     adds="sensor axes turned Rz Ry Rx in the body; gyro, accelerometer and angles are the sensor's",
     signature="motion about one axis shows on another; thrust has a part in the sensor's plane",
     excited_by="doublets of one axis at a time, yaw steps, thrust steps",
-    channels=(*GYRO, "accelerometer x", "accelerometer y"),
-    regimes=STEADY | TILTING | YAWING | THRUST,
+    channels=(*effect.GYRO, "accelerometer x", "accelerometer y"),
+    regimes=effect.STEADY | effect.TILTING | effect.YAWING | effect.THRUST,
     confused_with=(
         Confusion("accelerometer_bias", "thrust steps: a bias stays the same"),
         Confusion("inertia_coupling", "roll and pitch doublets without any yaw rate"),

@@ -8,15 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    FORCE,
-    STEADY,
-    THRUST,
-    Confusion,
-    Effect,
-    Parameter,
-    Rename,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter, Rename
 
 
 def law(values: Any, craft: Any, body: Any) -> Any:
@@ -55,8 +48,8 @@ EFFECT = Effect(
     adds="specific force over 1 + percent / 100: the craft is heavier or lighter than the model",
     signature="the craft hovers at another rotor speed than the model, at any voltage",
     excited_by="nothing special; weigh the craft",
-    channels=FORCE,
-    regimes=STEADY | THRUST,
+    channels=effect.FORCE,
+    regimes=effect.STEADY | effect.THRUST,
     confused_with=(
         Confusion("supply_sag", "hover with a full and with an empty battery: a mass is the same"),
         Confusion("motor_dead_voltage", "steps of collective thrust: a mass scales, a loss shifts"),

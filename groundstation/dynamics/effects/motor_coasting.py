@@ -27,14 +27,7 @@ EFFECT = Effect(
     order=1,  # of the current that is left behind a dead voltage
     parameters=(
         Parameter(
-            "share",
-            "",
-            default=0.7,
-            low=0.05,
-            high=1.0,
-            bounds=(-0.3, 1.3),
-            step=0.02,
-            stride=0.3,
+            "share", "", default=0.7, low=0.05, high=1.0, bounds=(-0.3, 1.3), step=0.02, stride=0.3
         ),
     ),
     adds="where a0 u < a1 n, that share of a1 n - a0 u does not brake",

@@ -7,16 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    ROTORS,
-    STEADY,
-    THRUST,
-    THRUST_STEPS,
-    TILT_RATES,
-    Confusion,
-    Effect,
-    Parameter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter
 
 
 def law(values: Any, motor: Any, slope: float) -> float:
@@ -45,12 +37,12 @@ EFFECT = Effect(
     adds="a motor turns with u - voltage, not less than 0",
     signature="thrust is too high in the model at low throttle and right at the speed it was"
     " fitted at",
-    excited_by=THRUST_STEPS,
-    channels=("accelerometer z", *TILT_RATES),
-    regimes=STEADY | THRUST | ROTORS | {"saturation", "low battery"},
+    excited_by=effect.THRUST_STEPS,
+    channels=("accelerometer z", *effect.TILT_RATES),
+    regimes=effect.STEADY | effect.THRUST | effect.ROTORS | {"saturation", "low battery"},
     needs=("modelled rotors",),
     confused_with=(
-        Confusion("supply_sag", THRUST_STEPS),
+        Confusion("supply_sag", effect.THRUST_STEPS),
         Confusion("battery_reading_lag", "thrust steps held for 2 s: a lag dies out"),
     ),
 )

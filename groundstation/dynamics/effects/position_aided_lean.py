@@ -14,15 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    HOVER_DOUBLETS,
-    TRANSLATE,
-    TRANSLATION,
-    Confusion,
-    Effect,
-    Parameter,
-    State,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter, State
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 
@@ -86,12 +79,14 @@ EFFECT = Effect(
     " with this time constant",
     signature="flying steadily, the reported tilt is more than what the accelerometer feels"
     " of gravity says",
-    excited_by=f"{TRANSLATE}; positions known, attitude recorded",
+    excited_by=f"{effect.TRANSLATE}; positions known, attitude recorded",
     channels=("roll", "pitch"),
-    regimes=TRANSLATION,
+    regimes=effect.TRANSLATION,
     needs=("accelerometer", "attitude"),
     confused_with=(
-        Confusion("attitude_filter_lean", f"{TRANSLATE}: a Mahony filter creeps to level instead"),
-        Confusion("imu_misalignment", f"{HOVER_DOUBLETS}: a misalignment turns at once"),
+        Confusion(
+            "attitude_filter_lean", f"{effect.TRANSLATE}: a Mahony filter creeps to level instead"
+        ),
+        Confusion("imu_misalignment", f"{effect.HOVER_DOUBLETS}: a misalignment turns at once"),
     ),
 )

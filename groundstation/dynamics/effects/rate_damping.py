@@ -8,15 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    HOVER_DOUBLETS,
-    TILT_RATES,
-    TILTING,
-    TRANSLATE,
-    Confusion,
-    Effect,
-    Parameter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter
 
 
 def law(values: Any, craft: Any, body: Any) -> Any:
@@ -35,11 +28,11 @@ EFFECT = Effect(
     parameters=(Parameter("damping_n_m_s", "N m s", default=1e-5, low=1e-7, high=2e-4, step=1e-6),),
     adds="-d p on roll, -d q on pitch",
     signature="angular acceleration falls short in proportion to the rate, alike on roll and pitch",
-    excited_by=HOVER_DOUBLETS,
-    channels=TILT_RATES,
-    regimes=TILTING,
+    excited_by=effect.HOVER_DOUBLETS,
+    channels=effect.TILT_RATES,
+    regimes=effect.TILTING,
     confused_with=(
         Confusion("quadratic_rate_damping", "doublets of several sizes, 1 to 6 rad/s"),
-        Confusion("velocity_moment", f"{HOVER_DOUBLETS}; {TRANSLATE}"),
+        Confusion("velocity_moment", f"{effect.HOVER_DOUBLETS}; {effect.TRANSLATE}"),
     ),
 )

@@ -25,13 +25,7 @@ EFFECT = Effect(
     law=law,
     parameters=(
         Parameter(
-            "rotor_inertia_kg_m2",
-            "kg m^2",
-            default=5e-8,
-            low=1e-9,
-            high=4e-7,
-            step=1e-8,
-            near=1e-8,
+            "rotor_inertia_kg_m2", "kg m^2", default=5e-8, low=1e-9, high=4e-7, step=1e-8, near=1e-8
         ),
     ),
     adds="+I_r dw/dt on yaw",

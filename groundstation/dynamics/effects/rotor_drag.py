@@ -8,14 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    HOVER_DOUBLETS,
-    TRANSLATE,
-    TRANSLATION,
-    Confusion,
-    Effect,
-    Parameter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter
 
 
 def law(values: Any, craft: Any, body: Any) -> Any:
@@ -32,13 +26,13 @@ EFFECT = Effect(
     parameters=(Parameter("drag_n_s_m", "N s/m", default=0.008, low=3e-4, high=0.06, step=1e-3),),
     adds="in-plane force -d times the body velocity",
     signature="specific force in the plane against the velocity",
-    excited_by=TRANSLATE,
+    excited_by=effect.TRANSLATE,
     channels=("accelerometer x", "accelerometer y"),
-    regimes=TRANSLATION,
+    regimes=effect.TRANSLATION,
     needs=("accelerometer", "attitude"),
     unmeasured=("velocity",),
     confused_with=(
-        Confusion("accelerometer_bias", TRANSLATE),
-        Confusion("imu_lever_arm", f"{HOVER_DOUBLETS}; {TRANSLATE}"),
+        Confusion("accelerometer_bias", effect.TRANSLATE),
+        Confusion("imu_lever_arm", f"{effect.HOVER_DOUBLETS}; {effect.TRANSLATE}"),
     ),
 )

@@ -19,18 +19,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    HOVER_DOUBLETS,
-    TILT_RATES,
-    TRANSLATE,
-    TRANSLATION,
-    Confusion,
-    Effect,
-    Parameter,
-    State,
-    to_body,
-    to_inertial,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter, State, to_body, to_inertial
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 DRAG_PER_S = 10.0
@@ -60,8 +50,7 @@ def law(values: Any, craft: Any, body: Any, state: Any) -> Any:
     tight = min(max(2.0 * body.height / length - 1.0, 0.0), 1.0)
     inward = tight * 0.01 * percent * length * turn + (1.0 - tight) * ratio * along
     push = to_body(
-        body.quaternion,
-        (ratio * f + inward * x, ratio * g + inward * y, ratio * h + inward * z),
+        body.quaternion, (ratio * f + inward * x, ratio * g + inward * y, ratio * h + inward * z)
     )
     drive, drag = tight * (1.0 + ratio) / length, (1.0 - tight) * DRAG_PER_S
     slowed = tight * damping + 2.0 * drag
@@ -153,13 +142,13 @@ EFFECT = Effect(
     adds="a load that swings below the craft pulls along its line; its weight is mass_change's",
     signature="the craft is pulled to and fro at a steady pace of its own, long after it stopped",
     excited_by="brisk flight to and fro with sudden stops, then hover for several swings",
-    channels=("accelerometer x", "accelerometer y", *TILT_RATES),
-    regimes=TRANSLATION | {"whole flight"},
+    channels=("accelerometer x", "accelerometer y", *effect.TILT_RATES),
+    regimes=effect.TRANSLATION | {"whole flight"},
     needs=("accelerometer", "attitude"),
     unmeasured=("height",),
     confused_with=(
-        Confusion("rotor_drag", f"{TRANSLATE}: drag ends with the motion, a load swings on"),
-        Confusion("velocity_moment", f"{TRANSLATE}: a moment ends with the motion"),
-        Confusion("imu_lever_arm", f"{HOVER_DOUBLETS}: no load follows them"),
+        Confusion("rotor_drag", f"{effect.TRANSLATE}: drag ends with the motion, a load swings on"),
+        Confusion("velocity_moment", f"{effect.TRANSLATE}: a moment ends with the motion"),
+        Confusion("imu_lever_arm", f"{effect.HOVER_DOUBLETS}: no load follows them"),
     ),
 )

@@ -8,16 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    ROTORS,
-    STEADY,
-    THRUST,
-    THRUST_STEPS,
-    TILT_RATES,
-    Confusion,
-    Effect,
-    Parameter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter
 
 
 def law(values: Any, craft: Any, supply: Any, supply_mv: float) -> float:
@@ -51,12 +43,12 @@ EFFECT = Effect(
     adds="motors get the reported voltage less R times their summed supply current, duty"
     " (u - k_e n)/R_w each",
     signature="all four motors give less when any of them works hard",
-    excited_by=THRUST_STEPS,
-    channels=("accelerometer z", *TILT_RATES),
-    regimes=STEADY | THRUST | ROTORS | {"saturation", "low battery"},
+    excited_by=effect.THRUST_STEPS,
+    channels=("accelerometer z", *effect.TILT_RATES),
+    regimes=effect.STEADY | effect.THRUST | effect.ROTORS | {"saturation", "low battery"},
     needs=("modelled rotors",),
     confused_with=(
-        Confusion("motor_dead_voltage", THRUST_STEPS),
+        Confusion("motor_dead_voltage", effect.THRUST_STEPS),
         Confusion("battery_reading_lag", "thrust steps held for 2 s: a lag dies out"),
     ),
 )

@@ -11,15 +11,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import (
-    HOVER_DOUBLETS,
-    TILT_RATES,
-    TRANSLATE,
-    TRANSLATION,
-    Confusion,
-    Effect,
-    Parameter,
-)
+from groundstation.dynamics import effect
+from groundstation.dynamics.effect import Confusion, Effect, Parameter
 
 
 def law(values: Any, craft: Any, body: Any) -> Any:
@@ -53,13 +46,13 @@ EFFECT = Effect(
     ),
     adds="roll +c (1 - e) v, pitch -c (1 + e) u, (u, v) the body velocity forward and left",
     signature="the craft rears up against its motion: torque in proportion to speed",
-    excited_by=TRANSLATE,
-    channels=TILT_RATES,
-    regimes=TRANSLATION,
+    excited_by=effect.TRANSLATE,
+    channels=effect.TILT_RATES,
+    regimes=effect.TRANSLATION,
     needs=("accelerometer", "attitude"),
     unmeasured=("velocity",),
     confused_with=(
-        Confusion("rate_damping", f"{HOVER_DOUBLETS}; {TRANSLATE}"),
+        Confusion("rate_damping", f"{effect.HOVER_DOUBLETS}; {effect.TRANSLATE}"),
         Confusion("centre_of_gravity_offset", "flight to and fro: an offset keeps its sign"),
     ),
 )

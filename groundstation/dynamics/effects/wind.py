@@ -39,14 +39,7 @@ EFFECT = Effect(
     parameters=(
         *SIZES,
         Parameter(
-            "time_s",
-            "s",
-            default=2.0,
-            low=0.2,
-            high=60.0,
-            absent=2.0,
-            kind="shape",
-            least=0.05,
+            "time_s", "s", default=2.0, low=0.2, high=60.0, absent=2.0, kind="shape", least=0.05
         ),
     ),
     adds="a moment and a force that drift slowly, with this spread and pace; an observer follows",

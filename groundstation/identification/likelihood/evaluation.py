@@ -1,6 +1,4 @@
-"""One flight at one point of the search: how the model moves, what its sensors show, what is
-left over.
-"""
+"""One flight at one point of the search: how the model moves, what is shown, what is left."""
 
 from __future__ import annotations
 
@@ -25,7 +23,6 @@ from groundstation.identification.likelihood.motion import (
     Frame,
     Inputs,
     Motion,
-    Rotors,
     acting,
     before,
     in_order,
@@ -44,15 +41,13 @@ from groundstation.identification.likelihood.sensing import (
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
-# One flight at one point: how the model moves on its rows, and what the sensors make of it.
-#
 # The model is the laws of the effects that act (``dynamics/effects``) on rows of motion, gyro and
 # accelerometer in body axes. Whatever multiplies a rate or a velocity uses one that was predicted
 # from earlier rows.
 
 
 Columns = dict[int, Array]
-"""Channel (0..8 as in ``comparison.channels``) -> rows."""
+"""Channel (0..8: gyro, accelerometer, angles) -> rows."""
 
 Bodies = tuple[BodyRows, BodyRows]
 """Rows of a model over the period before each row, and at the row."""
@@ -97,12 +92,15 @@ class Evaluation:
         self.period = run.period_s
         self.there = frame.acting(point)
         self.craft = frame.craft(point)
+        self.sides: dict[str, tuple[Moved, Moved, float]] = {}
+        """By unknown, as ``both_sides`` has them."""
+        self._sensors: dict[tuple[Acting, ...], Sensors] = {}
         self.sensors = self.sensors_with({})
         self.lean = attitude_gain(self.effects("attitude"))
         self.felt = self.feel(self.sensors)
         self.motion = self.moves(self.sensors, self.felt)
         self.delay = sum(one.law() for one in self.effects("delay"))
-        self.rotors = self.spin(point)
+        self.rotors = spin_rotors(flight, point, frame)
         self.inputs = Inputs.of(self.rotors, self.delay, self.period)
         self.halves: tuple[Inputs, ...] = ()
         if self.rotors.halves is not None:
@@ -124,8 +122,11 @@ class Evaluation:
         self.angular_peak = float(np.abs(self.angular_read).max())
 
     def sensors_with(self, moved: Moved) -> Sensors:
-        filters = self.frame.gyro_filter_hz, self.frame.accelerometer_filter_hz
-        return Sensors(self.effects("sensor", moved), self.craft, filters)
+        effects = self.effects("sensor", moved)
+        if effects not in self._sensors:
+            filters = self.frame.gyro_filter_hz, self.frame.accelerometer_filter_hz
+            self._sensors[effects] = Sensors(effects, self.craft, filters)
+        return self._sensors[effects]
 
     def feel(self, sensors: Sensors) -> Felt:
         run, off = self.flight.run, None
@@ -138,12 +139,6 @@ class Evaluation:
         """How the craft moves by what its sensors say of it; rates are not known yet."""
         true = None if felt.off is None else self.flight.run.attitude - felt.off
         return Motion(self.flight, felt.force, sensors.turn, true, leaning=self.lean > 0.0)
-
-    def inputs_at(self, point: Mapping[str, float]) -> Inputs:
-        return Inputs.of(self.spin(point), self.delay, self.period)
-
-    def spin(self, point: Mapping[str, float]) -> Rotors:
-        return spin_rotors(self.flight, point, self.frame)
 
     def effects(self, stage: Stage, moved: Moved | None = None) -> tuple[Acting, ...]:
         """The effects of a stage; moved: others in the place of some."""
@@ -168,17 +163,14 @@ class Evaluation:
         body: tuple[Acting, ...] | None = None,
         motion: Motion | None = None,
     ) -> BodyRows:
-        wrench = self.equal[mean]
+        wrench, given = self.equal[mean], (craft or self.craft, inputs or self.inputs)
         if craft is not None or inputs is not None:
-            wrench = self.motion.thrust(craft or self.craft, inputs or self.inputs, mean=mean)
-        return (motion or self.motion).body(
-            craft or self.craft,
-            inputs or self.inputs,
-            wrench,
+            wrench = self.motion.thrust(*given, mean=mean)
+        rotor, body = (
             self.effects("rotor", moved),
             self.effects("body", moved) if body is None else body,
-            mean=mean,
         )
+        return (motion or self.motion).body(*given, wrench, rotor, body, mean=mean)
 
     def bodies(self, moved: Moved | None = None, **other: Any) -> Bodies:
         return self.model_rows(True, moved, **other), self.model_rows(False, moved, **other)
@@ -191,6 +183,11 @@ class Evaluation:
         self.moving, self.passing = self.sensed(self.middle, self.row)
         self.angular_read, self.force_read = self.sensors.read(self.passing[-1], self.moving)
 
+    def _turn(self) -> None:
+        """The same where only the rates are others, and the model does not depend on them."""
+        self.middle, self.row = map(self.motion.turning, (self.middle, self.row))
+        self.moving, self.passing = self.sensed(self.middle, self.row)
+
     def _within(self) -> Array | None:
         """How angular acceleration (n, 3) differs between the halves of each row's period: the
         filter behind the gyro sees when a torque acted."""
@@ -201,11 +198,6 @@ class Evaluation:
             stacked(self.model_rows(True, inputs=half).angular, count) for half in self.halves
         )
         return second - first
-
-    def _turn(self) -> None:
-        """The same where only the rates are others, and the model does not depend on them."""
-        self.middle, self.row = map(self.motion.turning, (self.middle, self.row))
-        self.moving, self.passing = self.sensed(self.middle, self.row)
 
     def sensed(self, middle: BodyRows, row: BodyRows) -> tuple[Moving, list[Passing]]:
         first = max(self.flight.first - 1, 0)
@@ -237,36 +229,6 @@ class Evaluation:
             ends = rows.first + rows.stride * np.arange(len(euler))
             euler += (off[ends] - off[ends - rows.stride]) / (rows.stride * self.period)
         return euler
-
-    def generic(self) -> dict[str, Array]:
-        """See ``generic_signals``."""
-        middle = self.middle
-        p, q, r = middle.rate
-        w, spun = (
-            sum(sign * one for sign, one in zip(SPIN, rows, strict=True))
-            for rows in (middle.rotor, middle.rotor_slope)
-        )
-        found = {"a constant": np.ones(len(p))}
-        for name, rate in zip(ANGLES, (p, q, r), strict=True):
-            found[f"the {name} rate"] = rate
-            found[f"the {name} rate times its magnitude"] = rate * np.abs(rate)
-        found["pitch rate times yaw rate"] = q * r
-        found["roll rate times yaw rate"] = p * r
-        found["roll rate times pitch rate"] = p * q
-        plain = self.model_rows(mean=True, body=())
-        for name, torque in zip(ANGLES, plain.angular, strict=True):
-            found[f"the {name} torque"] = torque
-        found["the total thrust"] = plain.thrust
-        found["the change of thrust"] = np.diff(plain.thrust, prepend=plain.thrust[:1])
-        found["the rotors' acceleration"] = spun
-        found["pitch rate times rotor speeds"] = q * w
-        found["roll rate times rotor speeds"] = p * w
-        if self.flight.up is not None:
-            for name, speed in zip(("forward", "leftward", "upward"), middle.velocity, strict=True):
-                found[f"the {name} velocity"] = speed
-            found["the roll angle"] = np.sin(self.flight.run.attitude[:, 0])
-            found["the pitch angle"] = np.sin(self.flight.run.attitude[:, 1])
-        return found
 
     # What is read of it.
 
@@ -331,20 +293,12 @@ def column(at: Evaluation, key: str) -> Columns:
     elif key in MOTOR_KEYS:
         if at.point[key] != 0.0:
             _rotors_column(at, key, BASE_STEPS[key] * at.point[key], out)
-    else:
+    elif stage in ("supply", "motor"):
         one = at.frame.unknowns[key]
-        if stage in ("supply", "motor"):
-            toward = one.parameter.to_unknown(one.parameter.default) - one.absent
-            _rotors_column(at, key, math.copysign(one.step, toward), out)
-        else:
-            columns = {
-                "delay": _delay_column,
-                "rotor": _rotor_column,
-                "body": _body_column,
-                "sensor": _sensor_column,
-                "attitude": _attitude_column,
-            }
-            columns[str(stage)](at, out, *both_sides(at, one))
+        toward = one.parameter.to_unknown(one.parameter.default) - one.absent
+        _rotors_column(at, key, math.copysign(one.step, toward), out)
+    else:
+        COLUMNS[str(stage)](at, out, *both_sides(at, at.frame.unknowns[key]))
     return out
 
 
@@ -352,6 +306,8 @@ def both_sides(at: Evaluation, one: Key) -> tuple[Moved, Moved, float]:
     """Effects on both sides of an unknown's value, or on that which its bounds allow, and
     how far they are apart. Of a sensor, whose law is as good as straight, above the value and at
     it, where it is evaluated."""
+    if one.key in at.sides:
+        return at.sides[one.key]
     now, variant = value(at.point, one.key), at.frame.variants[one.key]
     here = at.stage(one.key) == "sensor" or now - one.step < one.bounds[0]
     low = now if here else now - one.step
@@ -359,7 +315,8 @@ def both_sides(at: Evaluation, one: Key) -> tuple[Moved, Moved, float]:
     ends = (
         {variant.label: acting(variant.unknowns, {**at.point, one.key: end})} for end in (high, low)
     )
-    return next(ends), next(ends), high - low
+    at.sides[one.key] = next(ends), next(ends), high - low
+    return at.sides[one.key]
 
 
 def _put_change(at: Evaluation, out: Columns, high: Bodies, low: Bodies, step: float) -> None:
@@ -393,7 +350,7 @@ def _rotors_column(at: Evaluation, key: str, step: float, out: Columns) -> None:
     if at.flight.rotor_measured != (key == SENSOR_LAG):
         return
     moved = {**at.point, key: value(at.point, key) + step}
-    inputs = at.inputs_at(moved)
+    inputs = Inputs.of(spin_rotors(at.flight, moved, at.frame), at.delay, at.period)
     middle, row = at.model_rows(True, inputs=inputs), at.row
     if FORCES in at.parts or at.sensors.effects:
         row = at.model_rows(False, inputs=inputs)
@@ -443,10 +400,12 @@ def _sensor_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: 
     sensors, felt = at.sensors_with(high), at.felt
     if not sensors.feel_alike(at.sensors):
         felt = at.feel(sensors)
-    moved_bodies = _moved_by(at, sensors, felt)
+    answers = felt is not at.felt and (at.effects("rotor") or at.effects("body"))
+    motion = at.moves(sensors, felt).with_rates_of(at.motion) if answers else None
+    bodies = at.bodies(motion=motion) if motion else None
     for part, found in zip(at.parts, _shown_otherwise(at, high, low, step), strict=True):
-        if moved_bodies is not None:
-            more = _change(at, part, *moved_bodies, step)
+        if bodies is not None:  # the model answers to the velocity and attitude that these tell
+            more = _change(at, part, bodies, (at.middle, at.row), step)
             found = more if found is None or more is None else found + more
         if found is not None:
             at.put(part, out, at.as_read(part, found), step)
@@ -477,20 +436,21 @@ def _shown_otherwise(at: Evaluation, high: Moved, low: Moved, step: float) -> li
     return found
 
 
-def _moved_by(at: Evaluation, sensors: Sensors, felt: Felt) -> tuple[Bodies, Bodies] | None:
-    """The model where these sensors tell the velocity and the attitude that it answers to, and as
-    it is; None where it does not, or they tell the same."""
-    if felt is at.felt or not (at.effects("rotor") or at.effects("body")):
-        return None
-    motion = at.moves(sensors, felt).with_rates_of(at.motion)
-    return at.bodies(motion=motion), (at.middle, at.row)
-
-
 def _attitude_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
     if at.rows_of_attitude is not None:
         gains = (attitude_gain(at.effects("attitude", moved)) for moved in (high, low))
         above, below = (at.turning(at.sensors, gain, at.felt.off) for gain in gains)
         at.put_attitude(out, (above - below) / step, step)
+
+
+COLUMNS = {
+    "delay": _delay_column,
+    "rotor": _rotor_column,
+    "body": _body_column,
+    "sensor": _sensor_column,
+    "attitude": _attitude_column,
+}
+"""By the stage of an effect."""
 
 
 # What a model leaves unexplained in a flight, row by row, and what each unknown would add to it.
@@ -537,9 +497,13 @@ def evaluate(
     channels: what is asked for; the vertical rows belong to the accelerometer's. A sensor of which
     no channel is wanted is left out, one axis more of a wanted one may come along.
     """
-    at = Evaluation(flight, frame, point, channels)
+    return series_of(Evaluation(flight, frame, point, channels), keys)
+
+
+def series_of(at: Evaluation, keys: Sequence[str]) -> Series:
+    """``evaluate`` of a flight whose model is evaluated at a point."""
     residual: Columns = {}
-    run = flight.run
+    run = at.flight.run
     if RATES in at.parts:
         measured = np.diff(run.gyro, axis=0, prepend=run.gyro[:1]) / at.period
         at.put(RATES, residual, measured - at.angular_read)
@@ -569,7 +533,34 @@ def rate_errors(
 
 def generic_signals(flight: Flight, frame: Frame, point: Mapping[str, float]) -> dict[str, Array]:
     """Signals (n,) that something unknown may go with: words -> values at every row."""
-    return Evaluation(flight, frame, point).generic()
+    at = Evaluation(flight, frame, point)
+    middle = at.middle
+    p, q, r = middle.rate
+    w, spun = (
+        sum(sign * one for sign, one in zip(SPIN, rows, strict=True))
+        for rows in (middle.rotor, middle.rotor_slope)
+    )
+    found = {"a constant": np.ones(len(p))}
+    for name, rate in zip(ANGLES, (p, q, r), strict=True):
+        found[f"the {name} rate"] = rate
+        found[f"the {name} rate times its magnitude"] = rate * np.abs(rate)
+    found["pitch rate times yaw rate"] = q * r
+    found["roll rate times yaw rate"] = p * r
+    found["roll rate times pitch rate"] = p * q
+    plain = at.model_rows(mean=True, body=())
+    for name, torque in zip(ANGLES, plain.angular, strict=True):
+        found[f"the {name} torque"] = torque
+    found["the total thrust"] = plain.thrust
+    found["the change of thrust"] = np.diff(plain.thrust, prepend=plain.thrust[:1])
+    found["the rotors' acceleration"] = spun
+    found["pitch rate times rotor speeds"] = q * w
+    found["roll rate times rotor speeds"] = p * w
+    if at.flight.up is not None:
+        for name, speed in zip(("forward", "leftward", "upward"), middle.velocity, strict=True):
+            found[f"the {name} velocity"] = speed
+        found["the roll angle"] = np.sin(at.flight.run.attitude[:, 0])
+        found["the pitch angle"] = np.sin(at.flight.run.attitude[:, 1])
+    return found
 
 
 def _vertical(at: Evaluation, keys: Sequence[str]) -> tuple[float, dict[str, float]] | None:

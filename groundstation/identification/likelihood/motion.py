@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -56,11 +56,9 @@ from groundstation.identification.runs import Run, squares_between
 from groundstation.telemetry.arrays import Array
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
-# The numbers that the search estimates, and how they map to a model file.
-#
 # A ``point`` is a dictionary from key to value: ``c0``, ``c1``, ``c2``, ``thrust_per_mass``,
 # ``a0``, ``a1``, ``a2``, ``attitude_timing`` and the unknowns of effects
-# (``dynamics/unknowns.py``).
+# (``dynamics/effect.py``).
 
 
 Point = dict[str, float]
@@ -227,8 +225,6 @@ def model_of(
 
     errors: standard errors by key. own: the user's own effects among them.
     """
-    import msgspec
-
     there = [v for v in (*VARIANTS, *own) if v.keys[0] in keys]
     terms = [
         EffectTerm(v.effect, estimates_of(v, point, errors), v.source)
@@ -250,10 +246,6 @@ def estimates_of(
         name: Estimate(value, spread.get(name), variant.definition.parameter(name).unit)
         for name, value in to_values(variant.unknowns, point).items()
     }
-
-
-# What is known before a flight is looked at: the given model's constants, the motors, the filter's
-# timing, a flight's trim.
 
 
 MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
@@ -322,16 +314,23 @@ def fitted_along(model: Model) -> Point:
     return found
 
 
+def stated_covariance(model: Model, part: str, keys: Sequence[str]) -> Array | None:
+    """Covariance (k, k) of constants, where the model says how its motor or body was fitted."""
+    account = model.fit.get(part, {}).get("estimates") or {}
+    names = account.get("names", ())
+    if not set(keys) <= set(names):
+        return None
+    at = [names.index(key) for key in keys]
+    return np.array(account["covariance"], np.float64)[np.ix_(at, at)]
+
+
 def body_prior(model: Model, start: Point) -> Prior:
     """The given c0, c1, c2 and thrust per mass, with their stated covariance and ``BODY_DOUBT``."""
     values = np.array([start[key] for key in BODY_KEYS])
     covariance = np.diag((BODY_DOUBT * values) ** 2)
-    account = model.fit.get("body", {}).get("estimates") or {}
-    if set(BODY_KEYS) <= set(account.get("names", ())):
-        at = [account["names"].index(key) for key in BODY_KEYS]
-        stated = np.array(account["covariance"], np.float64)[np.ix_(at, at)]
-        if np.isfinite(stated).all():
-            covariance = covariance + stated
+    stated = stated_covariance(model, "body", BODY_KEYS)
+    if stated is not None and np.isfinite(stated).all():
+        covariance = covariance + stated
     centre = {key: start[key] for key in BODY_KEYS}
     return Prior(BODY_KEYS, centre, np.asarray(np.linalg.inv(covariance)), TAIL)
 
@@ -348,12 +347,9 @@ def prior_of(model: Model, start: Point, told: bool) -> tuple[list[Prior], bool]
     centre = {key: start[key] for key in motor}
     values = np.array([start[key] for key in motor])
     covariance, known = np.diag((MOTOR_DOUBT * values) ** 2), False
-    account = model.fit.get("motor", {}).get("estimates")
-    if account and set(motor) <= set(account.get("names", ())):
-        at = [account["names"].index(key) for key in motor]
-        given = np.array(account["covariance"], np.float64)[np.ix_(at, at)]
-        if np.isfinite(given).all():
-            covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
+    given = stated_covariance(model, "motor", motor)
+    if given is not None and np.isfinite(given).all():
+        covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
     weight = np.asarray(np.linalg.inv(covariance))
     pace = model.fit.get("body", {}).get("motor_pace", {}).get("value", 1.0)
     tail = TAIL if told and not known and pace != 1.0 else math.inf
@@ -363,7 +359,7 @@ def prior_of(model: Model, start: Point, told: bool) -> tuple[list[Prior], bool]
 
 # The laws of effects on rows: which act at a point of the search, and what each gives for arrays.
 #
-# A law takes numbers (``dynamics/law.py``). Most are plain arithmetic and take arrays (n,) of
+# A law takes numbers (``dynamics/effect.py``). Most are plain arithmetic and take arrays (n,) of
 # them as well; one that branches, calls ``math`` or remembers is compiled and run row by row.
 
 
@@ -385,7 +381,7 @@ class Acting:
         return dict(zip(names, self.values, strict=True))
 
     def law(self, *given: Any) -> Any:
-        """Its law without states: ``given`` as in ``dynamics/law.py``, numbers or arrays (n,)."""
+        """Its law without states, of numbers or arrays (n,) as in ``dynamics/effect.py``."""
         with np.errstate(all="ignore"):
             try:
                 return self.effect.law(self.values, *given)
@@ -445,17 +441,9 @@ def _row_by_row(
     values = np.zeros(VALUE_SLOTS)
     values[: len(one.values)] = one.values
     fastest = 0.0 if effect.fastest is None else effect.fastest(one.named)
-    run_law(
-        own_address(effect.stage, (effect,), (0,)),
-        values,
-        np.array(_flat(craft)),
-        rows,
-        np.array([state.initial for state in effect.states]),
-        period_s,
-        1 + int(STEPS_PER_RADIAN * fastest * period_s),
-        mean,
-        x,
-    )
+    law, steps = own_address(effect.stage, (effect,), (0,)), STEPS_PER_RADIAN * fastest * period_s
+    begin = np.array([state.initial for state in effect.states])
+    run_law(law, values, np.array(_flat(craft)), rows, begin, period_s, 1 + int(steps), mean, x)
     if late:
         x -= _columns(before, count)
     found = tuple(np.ascontiguousarray(x.T))
@@ -478,9 +466,6 @@ def _columns(given: Any, count: int) -> Array:
     for place, one in enumerate(numbers):
         found[:, place] = one
     return found
-
-
-# What stays fixed in a search, and the craft and effects that a point of it means.
 
 
 @dataclass(frozen=True)
@@ -535,9 +520,6 @@ class Frame:
         return Craft(*plain)
 
 
-# Rotor speeds behind a flight: measured, or simulated with the effects of supply and motors.
-
-
 SUBSTEPS = 1
 FASTEST_REV_S = 2000.0
 """What a search tries need not be a motor: it must stay a number."""
@@ -561,9 +543,12 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
     """Rotor speeds of a flight at a point."""
     run, record = flight.run, frame.record(point)
     if flight.rotors is not None:
-        rotors = Rotors(np.sqrt(flight.rotors.end), flight.rotors.square)
-        lag = value(point, SENSOR_LAG)
-        return rotors if lag == 0.0 else _before_sensor(rotors, lag, run.period_s)
+        shown, lag = np.sqrt(flight.rotors.end), value(point, SENSOR_LAG)
+        if lag == 0.0:
+            return Rotors(shown, flight.rotors.square)
+        # True speeds behind a sensor that lags by the first order.
+        end = np.maximum(shown + lag * np.gradient(shown, run.period_s, axis=0), 0.0)
+        return Rotors(end, squares_between(end).square)
     there = list(frame.acting(point).values())
     settings = run.settings
     supply = np.repeat(1000.0 * run.supply_v, len(settings) // len(run))
@@ -580,12 +565,6 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
     return _run(run, settings, record, supply, start)
 
 
-def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
-    """True speeds behind a sensor that lags by the first order."""
-    end = np.maximum(rotors.end + lag_s * np.gradient(rotors.end, period_s, axis=0), 0.0)
-    return Rotors(end, squares_between(end).square)
-
-
 def _run(run: Run, settings: Array, record: np.void, supply: Array, start: Array) -> Rotors:
     """settings: (m, 4); supply: (m,) mV under each."""
     from groundstation.dynamics.kernels import run_motors
@@ -597,8 +576,8 @@ def _run(run: Run, settings: Array, record: np.void, supply: Array, start: Array
     run_motors(record, voltage, behind, run.period_s / each, SUBSTEPS, start, speed, square)
     before = np.tile(start, (each, 1))
     end, mean = np.vstack([before[1:], speed]), np.vstack([before**2, square])
-    np.clip(np.nan_to_num(end, copy=False), 0.0, FASTEST_REV_S, out=end)
-    np.clip(np.nan_to_num(mean, copy=False), 0.0, FASTEST_REV_S**2, out=mean)
+    for rows, most in ((end, FASTEST_REV_S), (mean, FASTEST_REV_S**2)):
+        np.fmin(np.fmax(rows, 0.0, out=rows), most, out=rows)  # what is no number is 0
     if each == 1:
         return Rotors(end, mean)
     rows = mean.reshape(-1, each, 4).mean(axis=1)
@@ -628,7 +607,7 @@ def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep:
 
     The reading itself cannot be differentiated: its steps of a millivolt would be amplified. The
     cell can be modelled: E(t) - A sum d^2 V + B sum d n, lagged, is fitted to the report, which
-    is what ``identification/motor/supply.py`` does on a bench; E is linear between knots. A row
+    is what ``estimate_supply`` does on a bench; E is linear between knots. A row
     that tells two settings holds what was read under the second.
     """
     from groundstation.identification.likelihood.kernels import first_order
@@ -637,11 +616,12 @@ def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep:
     each = count // len(run)
     read = slice(each - 1, None, each)
     load = (settings**2).sum(axis=1) * reported
-    knots = np.linspace(0, count - 1, max(2, round(len(run) * run.period_s / KNOT_S)) + 1)
-    hats = np.maximum(0.0, 1.0 - np.abs(np.arange(count)[:, None] - knots) / (knots[1] - knots[0]))
-    plain = np.column_stack([hats, -load, back])
-    lagged = np.empty_like(plain)
-    first_order(np.ascontiguousarray(plain), keep ** (1.0 / each), lagged)
+    pieces, slow = max(2, round(len(run) * run.period_s / KNOT_S)), keep ** (1.0 / each)
+    hats = _hats(count, pieces, slow)
+    fast = np.column_stack([-load, back])
+    late = np.empty_like(fast)
+    first_order(fast, slow, late)
+    plain, lagged = (np.column_stack(both) for both in zip(hats, (fast, late), strict=True))
     first = each * min(flight.first, len(run) // 4)
     used, told = lagged[first:][read], reported[first:][read]
     normal = used.T @ used
@@ -651,14 +631,24 @@ def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep:
     return (plain - np.repeat(lagged[read], each, axis=0)) @ weights
 
 
-# How a craft moves, row by row, as far as rows before it tell: what laws are evaluated on.
+@lru_cache(maxsize=2)
+def _hats(count: int, pieces: int, keep: float) -> tuple[Array, Array]:
+    """Shares (count, pieces + 1) of knots in each row of straight pieces, and the same lagged: of
+    the flight that is evaluated, whose motors are simulated for every column of theirs."""
+    from groundstation.identification.likelihood.kernels import first_order
+
+    knots = np.linspace(0, count - 1, pieces + 1)
+    hats = np.maximum(0.0, 1.0 - np.abs(np.arange(count)[:, None] - knots) / (knots[1] - knots[0]))
+    lagged = np.empty_like(hats)
+    first_order(hats, keep, lagged)
+    return hats, lagged
 
 
 Rows = tuple[Any, ...]
 """Arrays (n,), one for each axis or rotor; a plain number where it is the same in every row."""
 
 BodyRows = Any
-"""A ``law.Body`` of arrays (n,)."""
+"""A ``Body`` of arrays (n,)."""
 
 STILL, _FOUR = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
 
@@ -719,17 +709,8 @@ class Motion:
             sensed = self._velocity(force @ turn, attitude, orientation, leaning)
             self.velocity = sensed @ turn.T
         height = np.where(np.isfinite(flight.height_m), flight.height_m, FAR_M)
-        rows: Any = (
-            np.minimum(height, FAR_M),
-            tuple(orientation),
-            _rows(self.velocity),
-            STILL,
-            _FOUR,
-            _FOUR,
-            0.0,
-            STILL,
-            STILL,
-        )
+        moving = np.minimum(height, FAR_M), tuple(orientation), _rows(self.velocity)
+        rows: Any = (*moving, STILL, _FOUR, _FOUR, 0.0, STILL, STILL)
         self._still: BodyRows = Body(*rows)
 
     def _velocity(self, sensed: Array, attitude: Array, orientation: Array, leaning: bool) -> Array:
@@ -761,16 +742,9 @@ class Motion:
         """
         from groundstation.identification.likelihood.kernels import predict_rates
 
-        found: tuple[float, float, float] = predict_rates(
-            gyro,
-            self.flight.known,
-            angular,
-            self.period,
-            np.array(gain),
-            max(self.flight.first - 1, 0),
-            self._rates,
-            self.news,
-        )
+        given = gyro, self.flight.known, angular, self.period, np.array(gain)
+        first = max(self.flight.first - 1, 0)
+        found: tuple[float, float, float] = predict_rates(*given, first, self._rates, self.news)
         # The share of an innovation that is torque, not sensor noise, in a filter with this gain.
         self.news *= np.array(gain) ** 2 / self.period
         rates = self._rates + angular @ ahead.T if ahead.any() else self._rates

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.dynamics.registry import EFFECTS as CATALOGUE
 from groundstation.dynamics.registry import EFFECTS as LISTED
 from groundstation.dynamics.simulation import armature_mv
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
-from groundstation.identification.estimate import Estimates, fit_percent, rms, sandwich
-from groundstation.identification.fit_record import ResidualTest, Trace, liveliest, residual_test
+from groundstation.identification.estimate import (
+    Estimates,
+    ResidualTest,
+    Trace,
+    fit_percent,
+    implausible,
+    liveliest,
+    residual_test,
+    rms,
+    sandwich,
+)
 from groundstation.identification.runs import Run, require_known
 from groundstation.telemetry.arrays import Array
-
-# The least-squares problem of the motor fit: simulated readings, their slopes, their weights.
-
 
 DELAY, SHARED = 3, 4
 """Places among the parameters: the common delay, and what comes after a0, a1, a2 and it: the
@@ -60,6 +65,25 @@ class MotorRun:
     jitter_s: Array
     glitches: float = 0.0
 
+    def __getitem__(self, rows: slice) -> MotorRun:
+        """Some consecutive rows as a run of its own."""
+        names = ("voltage_mv", "rev_s", "age_s", "jitter_s")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    @property
+    def read(self) -> NDArray[np.intp]:
+        """Rows with a measurement."""
+        return np.flatnonzero(np.isfinite(self.rev_s))
+
+    @property
+    def bridged(self) -> Array:
+        """Measured speeds (n,), on straight lines where there is none."""
+        return np.interp(np.arange(len(self.rev_s)), self.read, self.rev_s[self.read])
+
+    @property
+    def seconds(self) -> float:
+        return len(self.rev_s) * self.period_s
+
 
 class MotorProblem:
     """All runs together. Parameters: a0, a1, a2, the readings' delay, one per effect, and each
@@ -84,7 +108,7 @@ class MotorProblem:
     def theta(self, constants: ArrayLike, delay_s: float = 0.0) -> Array:
         """Where a search begins: effects absent, runs at their first readings."""
         absent = [ABSENT[name] for name in self.effects]
-        speeds = [first_speed(run) for run in self.runs]
+        speeds = [float(np.median(run.rev_s[run.read[:15]])) for run in self.runs]
         return np.array([*np.asarray(constants, np.float64), delay_s, *absent, *speeds])
 
     def simulate(self, theta: Array, index: int) -> tuple[Array, Array]:
@@ -115,7 +139,7 @@ class MotorProblem:
         found = []
         for index, (run, weight) in enumerate(zip(self.runs, weights, strict=True)):
             speed, sensitivity = self.simulate(theta, index)
-            rows = np.flatnonzero(np.isfinite(run.rev_s))
+            rows = run.read
             row, share = _places(run, rows, theta[DELAY])
             columns = np.zeros((len(rows), self.size))
             below = sensitivity[row]
@@ -130,7 +154,7 @@ class MotorProblem:
         """Measured less modelled readings of all runs, by the roots of their weights."""
         return np.concatenate(
             [
-                np.sqrt(weight[np.isfinite(run.rev_s)]) * (measured - modelled)
+                np.sqrt(weight[run.read]) * (measured - modelled)
                 for run, weight, (measured, modelled) in zip(
                     self.runs, weights, self.compare(theta), strict=True
                 )
@@ -178,8 +202,7 @@ class MotorProblem:
         pairs = []
         for index, run in enumerate(self.runs):
             speed, _ = self.simulate(theta, index)
-            rows = np.flatnonzero(np.isfinite(run.rev_s))
-            pairs.append((run.rev_s[rows], at_age(run, rows, speed, theta[DELAY])))
+            pairs.append((run.rev_s[run.read], at_age(run, run.read, speed, theta[DELAY])))
         return pairs
 
     def weights(self, theta: Array) -> tuple[list[Array], int]:
@@ -192,10 +215,9 @@ class MotorProblem:
         for index, (run, (measured, modelled)) in enumerate(
             zip(self.runs, self.compare(theta), strict=True)
         ):
-            rows = np.flatnonzero(np.isfinite(run.rev_s))
             slope = np.gradient(self.simulate(theta, index)[0], run.period_s)
             errors.append(measured - modelled)
-            timing.append(at_age(run, rows, slope, theta[DELAY]) * run.jitter_s[rows])
+            timing.append(at_age(run, run.read, slope, theta[DELAY]) * run.jitter_s[run.read])
         error, jitter = np.concatenate(errors), np.abs(np.concatenate(timing))
         steady = jitter <= np.median(jitter)
         noise = robust_spread(error[steady])
@@ -204,7 +226,7 @@ class MotorProblem:
             variance = noise**2 + late**2
             good = one**2 <= OUTLIER**2 * variance
             weight = np.zeros(len(run.rev_s))
-            weight[np.isfinite(run.rev_s)] = good / variance
+            weight[run.read] = good / variance
             rejected += int((~good).sum())
             weights.append(weight)
         return weights, rejected
@@ -214,18 +236,12 @@ class MotorProblem:
         found, first = [], 0
         every = -self.jacobian(weights, theta) * self.errors(weights, theta)[:, None]
         for run in self.runs:
-            rows = np.flatnonzero(np.isfinite(run.rev_s))
+            rows = run.read
             length = max(round(BLOCK_S / run.period_s), len(run.rev_s) // MOST_BLOCKS)
             begins = np.flatnonzero(np.diff(rows // length, prepend=-1))
             found.append(np.add.reduceat(every[first : first + len(rows)], begins))
             first += len(rows)
         return np.vstack(found)
-
-
-def first_speed(run: MotorRun) -> float:
-    """Median of a run's first readings, rev/s."""
-    readings = np.flatnonzero(np.isfinite(run.rev_s))[:15]
-    return float(np.median(run.rev_s[readings]))
 
 
 def at_age(run: MotorRun, rows: NDArray[np.intp], series: Array, delay_s: float) -> Array:
@@ -316,17 +332,9 @@ def speed_from_gate(run: Run) -> GateReading:
     return GateReading(speed, age, jitter, float(1 - credible.mean()), rejected)
 
 
-@dataclass(frozen=True, slots=True)
-class RotorReadings:
-    """Speeds (n, 4) rev/s of a run's rotors in flight, NaN where there is no new, credible
-    reading; all NaN for a sensor that is left out, which ``left_out`` says in words."""
-
-    rev_s: Array
-    left_out: tuple[str, ...]
-
-
-def rotor_readings(run: Run) -> RotorReadings:
-    """New, credible readings of the rotor-speed sensors, and which sensors do not work.
+def rotor_readings(run: Run) -> tuple[Array, list[str]]:
+    """Speeds (n, 4) rev/s of a run's rotors in flight, NaN where there is no new, credible reading,
+    and in words which sensors do not work: theirs are all NaN.
 
     A reading that repeats the one before is none: the rotor has not passed the sensor since.
     """
@@ -353,7 +361,7 @@ def rotor_readings(run: Run) -> RotorReadings:
                     f"rotor {rotor + 1}: its sensor shows {share:.2f} of what the others show at"
                     f" the same duty in {run.name}: left out"
                 )
-    return RotorReadings(found, tuple(left_out))
+    return found, left_out
 
 
 def _silence(shown: Array) -> str:
@@ -421,11 +429,6 @@ class MotorFit:
     rejected: float
     warnings: tuple[str, ...]
 
-    @property
-    def values(self) -> dict[str, float]:
-        """``effect.parameter`` of the effects that were fitted along."""
-        return {name: self.estimates[name] for name in self.estimates.names if "." in name}
-
 
 def bench_run(run: Run, motor: int = 0) -> MotorRun:
     """A run of the motor bench: speeds from the gate's periods, voltage by eq. 3.84.
@@ -435,15 +438,8 @@ def bench_run(run: Run, motor: int = 0) -> MotorRun:
     require_known(run, ("duty", "supply_v"), "the motor model needs both")
     reading = speed_from_gate(run)
     voltage = armature_mv(run.duty, run.supply_v)[:, motor]
-    return MotorRun(
-        run.name,
-        run.period_s,
-        voltage,
-        reading.rev_s,
-        reading.age_s,
-        reading.jitter_s,
-        reading.glitches,
-    )
+    shown = reading.rev_s, reading.age_s, reading.jitter_s, reading.glitches
+    return MotorRun(run.name, run.period_s, voltage, *shown)
 
 
 def fit_motor(runs: Sequence[MotorRun], effects: Sequence[str] = ()) -> MotorFit:
@@ -471,9 +467,22 @@ def fit_motor(runs: Sequence[MotorRun], effects: Sequence[str] = ()) -> MotorFit
     if theta[2] < 0.0:
         problem.first_order, theta[2] = True, 0.0
         theta = problem.minimise(weights, theta)
-    _require_motor(theta, runs)
+    names = ", ".join(dict.fromkeys(run.name for run in runs))
+    for name, value in zip(("a0", "a1"), theta, strict=False):
+        if value <= 0.0:
+            raise BadInputError(
+                f"{names}: {name} is not identified, because the voltage hardly varies or the speed"
+                f" does not follow it (it would be {value:.3g}, and no motor has that); vary the"
+                " thrust between 30 and 90 % duty, and see that the sensor is on the motor fitted"
+            )
     found = _outcome(problem, weights, theta, rejected)
-    _require_certain(found.estimates, runs)
+    for name, value, error in found.estimates.rows[:2]:
+        if error > UNKNOWN * value:
+            raise BadInputError(
+                f"{names}: {name} is not identified, because the voltage hardly varies: uncertain"
+                f" by {100 * error / value:.0f} %; vary the thrust over a wider range, from 30 to"
+                " 90 % duty"
+            )
     return found
 
 
@@ -484,8 +493,7 @@ def first_constants(runs: Sequence[MotorRun]) -> Array:
     """
     rows, changes = [], []
     for run in runs:
-        seen = np.flatnonzero(np.isfinite(run.rev_s))
-        speed = np.interp(np.arange(len(run.rev_s)), seen, run.rev_s[seen])
+        speed = run.bridged
         width = max(round(0.1 / run.period_s), 2)
         sums = np.cumsum(np.column_stack([run.voltage_mv, -speed, -(speed**2)]), axis=0)
         integrals = (sums[width::width] - sums[:-width:width]) * run.period_s
@@ -494,8 +502,13 @@ def first_constants(runs: Sequence[MotorRun]) -> Array:
     matrix, change = np.vstack(rows), np.concatenate(changes)
     constants, *_ = np.linalg.lstsq(matrix / np.array([1, 1, 100.0]), change, rcond=None)
     a0, a1, a2 = constants / np.array([1, 1, 100.0])
-    # Noise on both sides can make one of them negative; the simulation needs a stable start.
-    return np.array([a0, a1, a2]) if min(a0, a1, a2) > 0 else _settled_constants(runs)
+    if min(a0, a1, a2) > 0:
+        return np.array([a0, a1, a2])
+    # Noise on both sides can make one of them negative; the simulation needs a stable start: a
+    # linear motor with a time constant of 0.1 s that reaches the mean speed.
+    volts = np.concatenate([run.voltage_mv[run.read] for run in runs])
+    speeds = np.concatenate([run.rev_s[run.read] for run in runs])
+    return np.array([10.0 * speeds.mean() / volts.mean(), 10.0, 0.0])
 
 
 def simulate_run(
@@ -519,14 +532,13 @@ def simulate_run(
         if slope.any():
             theta[-1] -= slope @ problem.errors([weight], theta) / (slope @ slope)
     model = np.full(len(run.rev_s), np.nan)
-    model[np.isfinite(run.rev_s)] = problem.compare(theta)[0][1]
+    model[run.read] = problem.compare(theta)[0][1]
     return model
 
 
 def delay_in_words(estimates: Estimates) -> str:
     """What the estimated delay of the readings says: readings cannot be ahead of what they show."""
-    value = estimates["delay_s"]
-    error = float(estimates.stderr[estimates.names.index("delay_s")])
+    value, error = estimates["delay_s"], estimates.error_of("delay_s")
     if value > CLEAR * error:
         return f"the readings are {1e3 * value:.2g} ms late, beyond their own age"
     most = f"less than {1e3 * (max(value, 0.0) + CLEAR * error):.2g} ms, if any"
@@ -555,7 +567,7 @@ def validate_motor(
 
 def credible_rows(run: MotorRun, model: Array) -> NDArray[np.intp]:
     """The rows with readings that are no glitches, seen from a model of them (n,)."""
-    rows = np.flatnonzero(np.isfinite(run.rev_s))
+    rows = run.read
     error = run.rev_s[rows] - model[rows]
     centred = error - np.median(error)
     return rows[np.abs(centred) <= OUTLIER * robust_spread(centred)]
@@ -566,70 +578,34 @@ def require_usable(runs: Sequence[MotorRun]) -> None:
     if not runs:
         raise BadInputError("motor fit: no runs; give at least one recording")
     for run in runs:
-        readings = np.isfinite(run.rev_s)
         if not np.isfinite(run.voltage_mv).all():
             raise BadInputError(
                 f"{run.name}: the armature voltage is missing in some rows (no battery voltage or"
                 " no PWM); the motor model needs both"
             )
-        if readings.sum() < LEAST_READINGS or len(run.rev_s) * run.period_s < LEAST_SECONDS:
+        if len(run.read) < LEAST_READINGS or run.seconds < LEAST_SECONDS:
             raise BadInputError(
-                f"{run.name}: {int(readings.sum())} speed readings in"
-                f" {len(run.rev_s) * run.period_s:.1f} s are too few for a motor fit; record"
-                " longer"
+                f"{run.name}: {len(run.read)} speed readings in {run.seconds:.1f} s are too few for"
+                " a motor fit; record longer"
             )
         if run.voltage_mv.std() < 0.01 * max(float(run.voltage_mv.mean()), 1.0):
             raise BadInputError(
                 f"{run.name}: the armature voltage is constant; vary the thrust while recording"
             )
-        if run.rev_s[readings].mean() < 5.0:
+        if run.rev_s[run.read].mean() < 5.0:
             raise BadInputError(
                 f"{run.name}: the rotor hardly turns; record with the motor running"
             )
 
 
-def _require_motor(theta: Array, runs: Sequence[MotorRun]) -> None:
-    """Raises BadInputError where a0 or a1 would not be those of a motor."""
-    for name, value in zip(("a0", "a1"), theta, strict=False):
-        if value <= 0.0:
-            names = ", ".join(dict.fromkeys(run.name for run in runs))
-            raise BadInputError(
-                f"{names}: {name} is not identified, because the voltage hardly varies or the speed"
-                f" does not follow it (it would be {value:.3g}, and no motor has that); vary the"
-                " thrust between 30 and 90 % duty, and see that the sensor is on the motor fitted"
-            )
-
-
-def _require_certain(estimates: Estimates, runs: Sequence[MotorRun]) -> None:
-    """Raises BadInputError where a0 or a1 is known to its own size only."""
-    for name, value, error in zip(("a0", "a1"), estimates.values, estimates.stderr, strict=False):
-        if error > UNKNOWN * value:
-            names = ", ".join(dict.fromkeys(run.name for run in runs))
-            raise BadInputError(
-                f"{names}: {name} is not identified, because the voltage hardly varies: uncertain"
-                f" by {100 * error / value:.0f} %; vary the thrust over a wider range, from 30 to"
-                " 90 % duty"
-            )
-
-
-def _settled_constants(runs: Sequence[MotorRun]) -> Array:
-    """A linear motor with a time constant of 0.1 s that reaches the mean speed."""
-    volts = np.concatenate([run.voltage_mv[np.isfinite(run.rev_s)] for run in runs])
-    speeds = np.concatenate([run.rev_s[np.isfinite(run.rev_s)] for run in runs])
-    return np.array([10.0 * speeds.mean() / volts.mean(), 10.0, 0.0])
-
-
 def _outcome(
-    problem: MotorProblem,
-    weights: Sequence[Array],
-    theta: Array,
-    rejected: int,
+    problem: MotorProblem, weights: Sequence[Array], theta: Array, rejected: int
 ) -> MotorFit:
     fits, errors, readings = [], [], 0
     for run, weight, (measured, modelled) in zip(
         problem.runs, weights, problem.compare(theta), strict=True
     ):
-        used = weight[np.isfinite(run.rev_s)] > 0
+        used = weight[run.read] > 0
         fits.append(fit_percent(measured[used], modelled[used]))
         errors.append(rms((measured - modelled)[used]))
         readings += len(measured)
@@ -643,29 +619,15 @@ def _outcome(
     filtered = float(np.mean([run.glitches for run in problem.runs]))
     share = filtered + (1 - filtered) * rejected / readings
     motor = MotorConstants(*(float(value) for value in theta[:3]))
-    return MotorFit(
-        motor,
-        estimates,
-        problem.effects,
-        tuple(fits),
-        tuple(errors),
-        share,
-        _warnings(estimates, share),
-    )
+    figures = tuple(fits), tuple(errors), share
+    return MotorFit(motor, estimates, problem.effects, *figures, _warnings(estimates, share))
 
 
 def _warnings(estimates: Estimates, rejected: float) -> tuple[str, ...]:
     lines = []
-    for name, value, error in zip(estimates.names, estimates.values, estimates.stderr, strict=True):
-        effect, dot, parameter = name.partition(".")
-        if dot:
-            known = CATALOGUE[effect].parameter(parameter)
-            outside = max(known.low - value, value - known.high, 0.0)
-            if outside > 2 * error and abs(value - known.absent) > 2 * error:
-                lines.append(
-                    f"{name} is {value:.3g} +- {error:.2g} {known.unit}, outside the plausible"
-                    f" {known.low:g} to {known.high:g}: something else may be missing"
-                )
+    for name, value, error in estimates.rows:
+        if "." in name:
+            lines += implausible(name, value, error)
         elif name == "a2" and value == 0.0:
             lines.append(f"a2 would be negative and is 0 +- {error:.2g}: a motor of first order")
         elif name != "delay_s" and error > WELL_KNOWN * abs(value):
@@ -683,9 +645,6 @@ def _warnings(estimates: Estimates, rejected: float) -> tuple[str, ...]:
     return tuple(lines)
 
 
-# What a motor's report draws: measured and simulated speeds, and what is left between them.
-
-
 DRAWN_S = 6.0
 
 
@@ -695,27 +654,11 @@ def motor_pictures(
     """Measured and simulated speed (n,), and the residuals, of runs."""
     traces, residuals = [], []
     for run, model in modelled:
-        readings = np.isfinite(run.rev_s)
-        rows = liveliest(run.voltage_mv, run.period_s, DRAWN_S)
-        here = np.flatnonzero(readings[rows]) + rows.start
-        traces.append(
-            Trace(
-                f"rotor speed, {run.name}",
-                "rev/s",
-                run.period_s * here,
-                run.rev_s[here],
-                model[here],
-                "simulated from the voltage alone",
-            )
-        )
+        name, rows = f"rotor speed, {run.name}", liveliest(run.voltage_mv, run.period_s, DRAWN_S)
+        here = run.read[(run.read >= rows.start) & (run.read < rows.stop)]
+        series = run.period_s * here, run.rev_s[here], model[here]
+        traces.append(Trace(name, "rev/s", *series, "simulated from the voltage alone"))
         good = credible_rows(run, model)
-        residuals.append(
-            residual_test(
-                f"rotor speed, {run.name}",
-                run.rev_s[good] - model[good],
-                "armature voltage",
-                run.voltage_mv[good],
-                fitted_rows,
-            )
-        )
+        left, driven = run.rev_s[good] - model[good], run.voltage_mv[good]
+        residuals.append(residual_test(name, left, "armature voltage", driven, fitted_rows))
     return traces, residuals

@@ -18,22 +18,22 @@ from groundstation.dynamics.vehicle import MotorConstants, Motors, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import (
     Estimates,
-    bounded_step,
-    fit_percent,
-    inverse,
-    rms,
-    sandwich,
-)
-from groundstation.identification.fit_record import (
     Evidence,
     Identified,
     Progress,
     along_term,
+    bounded_step,
     effect_terms,
-    unit_of,
+    fit_percent,
+    inverse,
+    rms,
+    sandwich,
     with_effects,
 )
-from groundstation.identification.likelihood.spectra import Spectrum, fourier, whiten_by_own
+from groundstation.identification.likelihood.linear import Spectrum, fourier
+from groundstation.identification.likelihood.problem import (
+    whiten_by_own,
+)
 from groundstation.identification.motor.fit import (
     COASTING,
     EFFECTS,
@@ -46,8 +46,6 @@ from groundstation.identification.motor.fit import (
 from groundstation.identification.runs import Run, require_known
 from groundstation.telemetry.arrays import Array
 
-# The likelihood of four motors in flights: simulated speeds, slopes, weights of the errors.
-#
 # In flight a motor's speed stays near one value, its load changes slowly (air, brushes, warmth)
 # and its controller answers. So a motor is described by what such data tell apart, around the
 # mean speed n_r of all rotors:
@@ -165,10 +163,9 @@ class RotorProblem:
         self.size = self.shared + OWN * len(self.rotors)
 
     def _piece(self, rotor: int, piece: int, run: MotorRun) -> Piece | None:
-        seen = np.flatnonzero(np.isfinite(run.rev_s))
-        if len(seen) * run.period_s < 2.0 * SETTLE_S:
+        if len(run.read) * run.period_s < 2.0 * SETTLE_S:
             return None
-        measured = np.interp(np.arange(len(run.rev_s)), seen, run.rev_s[seen])
+        measured = run.bridged
         holding = np.log(run.voltage_mv.mean() * self.speed / measured.mean())
         flight, settled = run.name.rpartition(" M")[0], round(SETTLE_S / run.period_s)
         return Piece(rotor, flight, piece, run, measured, float(holding), settled)
@@ -179,7 +176,10 @@ class RotorProblem:
 
     def minimise(self) -> tuple[Array, Array]:
         """The likeliest (theta, normal) from each of the starts."""
-        found = [self._descend(share) for share in self._starts()]
+        starts = [float(self.expected[S + 1])]
+        if COASTING in self.effects:  # with a threshold, which s moves, there are several minima
+            starts.append(LINEAR_S)
+        found = [self._descend(share) for share in starts]
         if len(found) == 1:
             return found[0]
         unlikely = []
@@ -195,11 +195,6 @@ class RotorProblem:
         parts = [self._linear(theta, one) for one in self.pieces]
         off = theta[[self.own(rotor) + S for rotor in self.rotors]] - self.expected[S + 1]
         return float(sum(one.value for one in parts) + np.mean(off**2) / PRIOR_S**2)
-
-    def _starts(self) -> list[float]:
-        """Where s begins: with a threshold, which s moves, there are several minima."""
-        expected = float(self.expected[S + 1])
-        return [expected, LINEAR_S] if COASTING in self.effects else [expected]
 
     def _descend(self, share: float) -> tuple[Array, Array]:
         """Gauss-Newton from a share s, with spectra from the last step's errors."""
@@ -223,14 +218,8 @@ class RotorProblem:
         for _ in range(STEPS):
             parts = [self._linear(theta, one) for one in self.pieces]
             normal, gradient = self._sum(theta, parts)
-            free = np.ones(self.size, np.bool_)
-            step = bounded_step(
-                normal,
-                gradient,
-                free,
-                np.maximum(low - theta, -most),
-                np.minimum(high - theta, most),
-            )
+            ends = np.maximum(low - theta, -most), np.minimum(high - theta, most)
+            step = bounded_step(normal, gradient, np.ones(self.size, np.bool_), *ends)
             theta = theta + step
             for one, part in zip(self.pieces, parts, strict=True):
                 one.holding += float(part.off - part.follows @ step[self._places(one)])
@@ -314,10 +303,8 @@ class RotorProblem:
         count = len(flights) if several else 1 + max(one.piece for one in self.pieces)
         sums, weights = np.zeros((count, len(self.rotors))), np.zeros((count, len(self.rotors)))
         for one in self.pieces:
-            place = (
-                flights.index(one.flight) if several else one.piece,
-                self.rotors.index(one.rotor),
-            )
+            row = flights.index(one.flight) if several else one.piece
+            place = row, self.rotors.index(one.rotor)
             sums[place] += one.holding
             weights[place] += 1.0
         rows = weights.any(axis=1)
@@ -348,13 +335,9 @@ def constants_of(shape: Array, speed_rev_s: float) -> MotorConstants:
 def shape_of(motor: MotorConstants, speed_rev_s: float) -> Array:
     """(ln U, ln T, s) of a motor at a speed, (3,)."""
     linear, quadratic = motor.a1, motor.a2 * speed_rev_s
-    return np.array(
-        [
-            np.log((linear + quadratic) * speed_rev_s / motor.a0),
-            -np.log(linear + 2.0 * quadratic),
-            quadratic / (linear + quadratic),
-        ]
-    )
+    holding = np.log((linear + quadratic) * speed_rev_s / motor.a0)
+    share = quadratic / (linear + quadratic)
+    return np.array([holding, -np.log(linear + 2.0 * quadratic), share])
 
 
 def _cut(runs: Sequence[Sequence[MotorRun | None]]) -> list[list[MotorRun | None]]:
@@ -366,22 +349,11 @@ def _cut(runs: Sequence[Sequence[MotorRun | None]]) -> list[list[MotorRun | None
             continue
         count = max(1, int(len(one.rev_s) * one.period_s / PIECE_S))
         edges = np.linspace(0, len(one.rev_s), count + 1).astype(int)
-        pieces += [
-            [None if run is None else _rows(run, a, b) for run in four] for a, b in pairwise(edges)
-        ]
+        pieces += [[run and run[a:b] for run in four] for a, b in pairwise(edges)]
     return pieces
 
 
-def _rows(run: MotorRun, first: int, last: int) -> MotorRun:
-    parts = (
-        getattr(run, name)[first:last] for name in ("voltage_mv", "rev_s", "age_s", "jitter_s")
-    )
-    return MotorRun(run.name, run.period_s, *parts)
-
-
-# Each rotor's motor from flights with recorded rotor speeds, driven by duty times battery.
-#
-# ``rotor_problem`` has the likelihood. Its rotors are drawn towards their mean as far as their
+# Each rotor's motor. The rotors are drawn towards their mean as far as their
 # differences do not exceed what the data can tell (empirical Bayes; DerSimonian and Laird 1986 for
 # the spread between rotors), so that what flights cannot tell is shared.
 
@@ -425,15 +397,6 @@ class RotorFit:
     def lag_s(self) -> float:
         return self.estimates["sensor_lag_s"]
 
-    @property
-    def lag_stderr_s(self) -> float:
-        return float(self.estimates.stderr[self.estimates.names.index("sensor_lag_s")])
-
-    @property
-    def values(self) -> dict[str, float]:
-        """``effect.parameter`` of the effects that were fitted along."""
-        return {name: self.estimates[name] for name in self.estimates.names if "." in name}
-
 
 def fit_rotors(
     runs: Sequence[Sequence[MotorRun | None]],
@@ -451,31 +414,28 @@ def fit_rotors(
     return _outcome(problem, *problem.minimise())
 
 
-def simulate_rotor(
-    run: MotorRun,
-    motor: MotorConstants,
-    lag_s: float,
-    effects: Sequence[str] = (),
-    values: Sequence[float] = (),
-) -> Array:
+def simulate_rotor(run: MotorRun, motor: MotorConstants, fit: RotorFit) -> Array:
     """What the sensor of a rotor would show, (n,) rev/s, from the voltage alone."""
-    problem = MotorProblem([run], effects)
+    problem = MotorProblem([run], fit.effects)
     theta = problem.theta([motor.a0, motor.a1, motor.a2])
-    theta[SHARED : problem.starts] = values
-    return lagged(problem.simulate(theta, 0)[0].copy(), lag_s, run.period_s)
+    theta[SHARED : problem.starts] = list(fit.estimates.of_effects.values())
+    return lagged(problem.simulate(theta, 0)[0].copy(), fit.lag_s, run.period_s)
 
 
 def validate_rotor(run: MotorRun, motor: MotorConstants, fit: RotorFit) -> tuple[float, float]:
     """Fit % and RMS error in rev/s of a motor on a run, without its first half second."""
-    model = simulate_rotor(run, motor, fit.lag_s, fit.effects, tuple(fit.values.values()))
-    rows = np.flatnonzero(np.isfinite(run.rev_s))
-    rows = rows[rows >= round(SETTLE_S / run.period_s)]
-    error = run.rev_s[rows] - model[rows]
-    return fit_percent(run.rev_s[rows], model[rows]), rms(error)
+    model = simulate_rotor(run, motor, fit)
+    rows = run.read[run.read >= round(SETTLE_S / run.period_s)]
+    return fit_percent(run.rev_s[rows], model[rows]), rms(run.rev_s[rows] - model[rows])
 
 
 def _outcome(problem: RotorProblem, theta: Array, normal: Array) -> RotorFit:
-    covariance = _covariance(problem, theta, normal)
+    # No less than what the scatter of the pieces' scores says.
+    covariance, scores = inverse(normal), problem.scores(theta)
+    if len(scores) > 2:
+        seen = sandwich(normal, scores)
+        scale = np.sqrt(np.maximum(np.diag(seen) / np.diag(covariance), 1.0))
+        covariance = covariance * np.outer(scale, scale)
     count, rotors = len(problem.rotors), problem.rotors
     places = [problem.own(rotor) + np.arange(OWN) for rotor in rotors]
     mean = np.zeros((OWN, problem.size))
@@ -508,32 +468,12 @@ def _outcome(problem: RotorProblem, theta: Array, normal: Array) -> RotorFit:
     shape[rotors] = drawn
     stderr[rotors] = np.sqrt(np.diagonal(drawn_covariance, axis1=1, axis2=2))
     m1, m2, m3, m4 = (constants_of(row, problem.speed) for row in shape)
-    told = np.isin(np.arange(4), rotors)
-    motors = m1, m2, m3, m4
-    return RotorFit(
-        motors,
-        shape,
-        stderr,
-        spread,
-        float(np.hypot(held.drift, held.noise)),
-        told,
-        _estimates(problem, motors, theta, covariance, mean, certain),
-        problem.effects,
-        problem.speed,
-        bool(share < TELLS * PRIOR_S),
-        held.flights,
-    )
-
-
-def _covariance(problem: RotorProblem, theta: Array, normal: Array) -> Array:
-    """Covariance of theta, no less than what the scatter of the pieces' scores says."""
-    formal, scores = inverse(normal), problem.scores(theta)
-    pieces = len(scores)
-    if pieces > 2:
-        seen = sandwich(normal, scores)
-        scale = np.sqrt(np.maximum(np.diag(seen) / np.diag(formal), 1.0))
-        formal = formal * np.outer(scale, scale)
-    return formal
+    told, motors = np.isin(np.arange(4), rotors), (m1, m2, m3, m4)
+    estimates = _estimates(problem, motors, theta, covariance, mean, certain)
+    drift, from_data = float(np.hypot(held.drift, held.noise)), bool(share < TELLS * PRIOR_S)
+    of_each = motors, shape, stderr, spread, drift, told
+    known = problem.effects, problem.speed, from_data, held.flights
+    return RotorFit(*of_each, estimates, *known)
 
 
 def towards_mean(values: Array, covariance: Array) -> tuple[Array, Array, Array]:
@@ -589,9 +529,6 @@ def _estimates(
     return Estimates(names, values, chain @ known @ chain.T, freedom)
 
 
-# From flights with recorded rotor speeds to a model with the motor of each rotor.
-
-
 Four = list[MotorRun | None]
 """What the sensors of M1..M4 show in one run; None for one that does not work."""
 
@@ -632,11 +569,15 @@ def identify_rotors(
     progress(0.8, "judging them on held-out data")
     judged = _judged(held, fit)
     rows = sum(len(run) for run in fit_on)
-    drawn = [
-        (run, simulate_rotor(run, motor, fit.lag_s, fit.effects, tuple(fit.values.values())))
-        for run, motor in judged[:4]
-    ]
+    drawn = [(run, simulate_rotor(run, motor, fit)) for run, motor in judged[:4]]
     traces, residuals = motor_pictures(drawn, rows)
+    warnings = list(dict.fromkeys([*left_out, *held_out]))
+    if not fit.s_from_data:
+        share, error = float(fit.shape[:, 2].mean()), float(fit.stderr[:, 2].mean())
+        warnings.append(
+            "a2 is hardly identified, because the thrust hardly changes: the share of the load that"
+            f" is quadratic is {share:.2f} +- {error:.2f}, the given motor's included as a guess"
+        )
     account: dict[str, Any] = {
         "what": "motor",
         "method": "prediction error of each rotor, free noise spectrum",
@@ -652,15 +593,12 @@ def identify_rotors(
             for percent, error in [validate_rotor(run, motor, fit)]
         ],
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
-        "warnings": [*dict.fromkeys([*left_out, *held_out]), *_warnings(fit)],
+        "warnings": warnings,
     }
-    terms = [*effect_terms(fit.estimates, unit_of), *along_term(fit.lag_s, fit.lag_stderr_s)]
-    model = msgspec.structs.replace(
-        before,
-        motor=mean_motor(fit.motors),
-        motors=fit.motors,
-        effects=with_effects(before, terms),
-    )
+    lag = along_term(fit.lag_s, fit.estimates.error_of("sensor_lag_s"))
+    terms = [*effect_terms(fit.estimates), *lag]
+    motors = {"motor": mean_motor(fit.motors), "motors": fit.motors}
+    model = msgspec.structs.replace(before, **motors, effects=with_effects(before, terms))
     return Identified(model, account, Evidence({"motor": fit.estimates}, traces, residuals))
 
 
@@ -677,10 +615,8 @@ def _with_coasting(
             f" below {CLEARLY_BELOW:g} of what holds the speed: the motors never had to brake hard"
         )
     fit = fit_rotors(flights, motor, list(dict.fromkeys([*effects, COASTING])))
-    place = fit.estimates.names.index(f"{COASTING}.share")
-    share, error = (
-        100.0 * float(one[place]) for one in (fit.estimates.values, fit.estimates.stderr)
-    )
+    name = f"{COASTING}.share"
+    share, error = 100.0 * fit.estimates[name], 100.0 * fit.estimates.error_of(name)
     said = f"{COASTING}: {share:.0f} +- {error:.0f} % of a braking current does not flow"
     if COASTING in effects:
         return fit, said
@@ -714,7 +650,7 @@ def _judged(held: Sequence[Four], fit: RotorFit) -> list[tuple[MotorRun, MotorCo
         (run, fit.motors[rotor])
         for four in held
         for rotor, run in enumerate(four)
-        if run is not None and fit.told[rotor] and len(run.rev_s) * run.period_s > LEAST_S
+        if run is not None and fit.told[rotor] and run.seconds > LEAST_S
     ]
 
 
@@ -728,24 +664,14 @@ def rotor_runs(runs: Sequence[Run]) -> tuple[list[Four], list[str]]:
     for run in runs:
         voltage = armature_mv(run.duty, run.supply_v)
         require_known(run, ("duty", "supply_v"), "the motors need it")
-        readings = rotor_readings(run)
-        left_out += readings.left_out
-        nothing = np.zeros(len(run))
-        found.append(
-            [
-                MotorRun(
-                    f"{run.name} M{rotor + 1}",
-                    run.period_s,
-                    np.ascontiguousarray(voltage[:, rotor]),
-                    readings.rev_s[:, rotor],
-                    nothing,
-                    nothing,
-                )
-                if np.isfinite(readings.rev_s[:, rotor]).any()
-                else None
-                for rotor in range(4)
-            ]
-        )
+        speeds, silent = rotor_readings(run)
+        left_out += silent
+        four: Four = [None] * 4
+        for rotor in np.flatnonzero(np.isfinite(speeds).any(axis=0)).tolist():
+            name, nothing = f"{run.name} M{rotor + 1}", np.zeros(len(run))
+            driven = np.ascontiguousarray(voltage[:, rotor])
+            four[rotor] = MotorRun(name, run.period_s, driven, speeds[:, rotor], nothing, nothing)
+        found.append(four)
     return found, left_out
 
 
@@ -761,7 +687,7 @@ def _require_in_order(flights: Sequence[Four], motor: MotorConstants) -> None:
         voltage = np.column_stack([run.voltage_mv for run in runs])
         driven, _ = simulate_motor(motor, voltage[1:], runs[0].period_s)
         width = max(round(SWAP_S / runs[0].period_s), 1)
-        shown = np.column_stack([_bridged(run.rev_s) for run in runs])
+        shown = np.column_stack([run.bridged for run in runs])
         seen, driven = (one[width:] - one[:-width] for one in (shown, driven))
         products += seen.T @ driven
         squares += [(seen**2).sum(axis=0), (driven**2).sum(axis=0)]
@@ -780,13 +706,9 @@ def _require_in_order(flights: Sequence[Four], motor: MotorConstants) -> None:
         )
 
 
-def _bridged(values: Array) -> Array:
-    rows = np.flatnonzero(np.isfinite(values))
-    return np.interp(np.arange(len(values)), rows, values[rows])
-
-
 def _rotors(fit: RotorFit) -> list[dict[str, Any]]:
     """For the model file: each rotor's constants and what stands behind them."""
+    each = zip(fit.motors, fit.shape, fit.stderr, strict=True)
     return [
         {
             "rotor": rotor + 1,
@@ -799,9 +721,7 @@ def _rotors(fit: RotorFit) -> list[dict[str, Any]]:
             "quadratic_share": float(shape[2]),
             "quadratic_share_stderr": float(error[2]),
         }
-        for rotor, (motor, shape, error) in enumerate(
-            zip(fit.motors, fit.shape, fit.stderr, strict=True)
-        )
+        for rotor, (motor, shape, error) in enumerate(each)
     ]
 
 
@@ -825,20 +745,7 @@ def _findings(fit: RotorFit) -> list[str]:
             f"time constants {', '.join(f'{ms:.1f}' for ms in slow)} ms"
             f" (+- {float((slow * errors[:, 1]).mean()):.1f})"
         )
-    lines.append(
-        f"what holds a speed changes by {100 * fit.drift:.1f} % from flight to flight"
-        if fit.flights > 1
-        else f"what holds a speed changes by {100 * fit.drift:.1f} % during the flight"
-    )
+    over = "from flight to flight" if fit.flights > 1 else "during the flight"
+    lines.append(f"what holds a speed changes by {100 * fit.drift:.1f} % {over}")
     unknown = np.flatnonzero(~fit.told)
     return [*lines, *(f"M{rotor + 1} is taken as the mean of the others" for rotor in unknown)]
-
-
-def _warnings(fit: RotorFit) -> list[str]:
-    if fit.s_from_data:
-        return []
-    share, error = float(fit.shape[:, 2].mean()), float(fit.stderr[:, 2].mean())
-    return [
-        "a2 is hardly identified, because the thrust hardly changes: the share of the load that is"
-        f" quadratic is {share:.2f} +- {error:.2f}, the given motor's included as a guess"
-    ]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -14,23 +15,23 @@ from groundstation.dynamics.model import EffectTerm, Estimate, Model, with_motor
 from groundstation.dynamics.simulation import armature_mv, each_motor, simulate_motor
 from groundstation.dynamics.vehicle import Configuration, MotorConstants, Motors, Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.division import LAST, Stretch, hold_out
-from groundstation.identification.estimate import inverse, rms, sandwich
-from groundstation.identification.fit_record import (
+from groundstation.identification.estimate import (
     Evidence,
+    Figures,
     Identified,
     Progress,
     effect_terms,
     fitted_effects,
+    inverse,
     liveliest,
+    rms,
+    sandwich,
     silent,
-    unit_of,
     with_effects,
 )
-from groundstation.identification.flight import turning_parts
+from groundstation.identification.flight import LAST, Stretch, hold_out, turning
 from groundstation.identification.motor.fit import (
     EFFECTS,
-    GateReading,
     MotorFit,
     MotorRun,
     bench_run,
@@ -53,110 +54,72 @@ from groundstation.identification.runs import (
 from groundstation.prediction.drive import held, reading_rhythm
 from groundstation.report.page import against, lines, points
 from groundstation.telemetry.arrays import AXES, Array
-from groundstation.telemetry.samples import SampleBatch, spans
+from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
-# What a recording becomes before anything is fitted to it (thesis 7.2.2, 7.3.4), as figures.
+# What a recording is before anything is fitted to it (thesis 7.2.2, 7.3.4), as figures.
 
 
 BENCH_S, FLOWN_S = 8.0, 4.0
 TORQUE = "u', (rev/s)^2"
 
 
-@dataclass(frozen=True, slots=True)
-class BenchPreparation:
-    """A run of the motor bench. motor: which one carries the gate, from 0."""
-
-    run: Run
-    motor: int
-
-    def figures(self) -> list[tuple[Figure, str]]:
-        """Half periods with the glitches that were left out, rotor speed, armature voltage."""
-        volts = self._volts()
-        rows = liveliest(volts, self.run.period_s, BENCH_S)
-        run, volts, name = self.run[rows], volts[rows], f"M{self.motor + 1}"
-        gate = speed_from_gate(run)
-        kept = np.isfinite(gate.rev_s)
-        periods = _half_periods_ms(run, gate)
-        return [
-            (
-                points(run.time_s, periods, "half period, ms"),
-                f"Half a revolution as the gate times it: {100 * gate.glitches:.1f} % of the fresh"
-                " readings are left out as missed or doubled passages; those that repeat the one"
-                " before are no readings, and not shown.",
-            ),
-            (lines(run.time_s[kept], {name: gate.rev_s[kept]}, "rev/s"), "Rotor speed."),
-            (
-                lines(run.time_s, {name: volts, "battery": run.supply_v}, "V"),
-                "Armature voltage: duty times the reported battery voltage.",
-            ),
-        ]
-
-    def _volts(self) -> Array:
-        return armature_mv(self.run.duty, self.run.supply_v)[:, self.motor] / 1e3
-
-
-@dataclass(frozen=True, slots=True)
-class FlightPreparation:
-    """A stretch of flight, with the rotors behind it."""
-
-    stretch: Stretch
-    configuration: Configuration
-
-    def figures(self) -> list[tuple[Figure, str]]:
-        """Armature voltages, rotor speeds, and each angle with the torque that turns it."""
-        run, squares = self.stretch.run, self.stretch.squares
-        torque = squares.mixed(self.configuration)
-        speeds = np.sqrt(squares.end)
-        volts = armature_mv(run.duty, run.supply_v) / 1e3
-        time = run.time_s - run.recording_start_s
-        rows = self._liveliest(np.asarray(speeds.max(axis=1) - speeds.min(axis=1)))
-        found = [
-            (lines(time[rows], _by_motor(volts[rows]), "V"), "Armature voltages."),
-            (lines(time[rows], _by_motor(speeds[rows]), "rev/s"), "Speeds of the rotors."),
-        ]
-        for axis, name in enumerate(AXES):
-            rows = self._liveliest(torque[:, axis])
-            angle = np.degrees(run.attitude[rows, axis])
-            if np.isfinite(angle).all():
-                made = against(time[rows], angle, f"{name}, deg", torque[rows, axis], TORQUE)
-                found.append((made, f"{name.capitalize()} and, dashed, its torque."))
-        return found
-
-    def _liveliest(self, values: Array) -> slice:
-        """The rows of the stretch in which a channel of the run (n,) moves most."""
-        first = self.stretch.first
-        rows = liveliest(values[self.stretch.rows], self.stretch.run.period_s, FLOWN_S)
-        return slice(first + rows.start, first + rows.stop)
-
-
-def _half_periods_ms(run: Run, gate: GateReading) -> dict[str, Array]:
-    half, kept = 1e3 * run.debug_s, np.isfinite(gate.rev_s)
-    return {
+def bench_figures(run: Run, motor: int) -> Figures:
+    """Of a run of the bench: half periods with the glitches that were left out, rotor speed,
+    armature voltage. motor: which one carries the gate, from 0."""
+    volts = armature_mv(run.duty, run.supply_v)[:, motor] / 1e3
+    rows = liveliest(volts, run.period_s, BENCH_S)
+    run, volts, name = run[rows], volts[rows], f"M{motor + 1}"
+    gate = speed_from_gate(run)
+    kept, half = np.isfinite(gate.rev_s), 1e3 * run.debug_s
+    periods = {
         "kept": np.where(kept, half, np.nan),
         "left out": np.where(gate.rejected, half, np.nan),
     }
+    return [
+        (
+            points(run.time_s, periods, "half period, ms"),
+            f"Half a revolution as the gate times it: {100 * gate.glitches:.1f} % of the fresh"
+            " readings are left out as missed or doubled passages; those that repeat the one"
+            " before are no readings, and not shown.",
+        ),
+        (lines(run.time_s[kept], {name: gate.rev_s[kept]}, "rev/s"), "Rotor speed."),
+        (
+            lines(run.time_s, {name: volts, "battery": run.supply_v}, "V"),
+            "Armature voltage: duty times the reported battery voltage.",
+        ),
+    ]
 
 
-def _by_motor(values: Array) -> dict[str, Array]:
-    return {f"M{i + 1}": values[:, i] for i in range(4)}
+def flight_figures(stretch: Stretch, configuration: Configuration) -> Figures:
+    """Of a stretch of flight: armature voltages, rotor speeds, and each angle with the torque that
+    turns it, where each moves most."""
 
+    def shown(values: Array) -> slice:
+        rows = liveliest(values[stretch.rows], run.period_s, FLOWN_S)
+        return slice(stretch.first + rows.start, stretch.first + rows.stop)
 
-def bench_preparation(runs: Sequence[Run], motor: int) -> BenchPreparation:
-    """Of the longest run."""
-    return BenchPreparation(max(runs, key=len), motor)
+    def by_motor(values: Array) -> dict[str, Array]:
+        return {f"M{i + 1}": values[rows, i] for i in range(4)}
 
-
-def flight_preparation(
-    stretches: Sequence[Stretch], configuration: Configuration
-) -> FlightPreparation:
-    """Of the longest stretch."""
-    return FlightPreparation(max(stretches, key=len), configuration)
-
-
-# From recordings to the runs that motors are fitted to.
+    run, squares = stretch.run, stretch.squares
+    torque, speeds = squares.mixed(configuration), np.sqrt(squares.end)
+    volts = armature_mv(run.duty, run.supply_v) / 1e3
+    time = run.time_s - run.recording_start_s
+    rows = shown(np.asarray(speeds.max(axis=1) - speeds.min(axis=1)))
+    found = [
+        (lines(time[rows], by_motor(volts), "V"), "Armature voltages."),
+        (lines(time[rows], by_motor(speeds), "rev/s"), "Speeds of the rotors."),
+    ]
+    for axis, name in enumerate(AXES):
+        rows = shown(torque[:, axis])
+        angle = np.degrees(run.attitude[rows, axis])
+        if np.isfinite(angle).all():
+            made = against(time[rows], angle, f"{name}, deg", torque[rows, axis], TORQUE)
+            found.append((made, f"{name.capitalize()} and, dashed, its torque."))
+    return found
 
 
 LONG_S, MOST = 2.5, 0.8
@@ -166,12 +129,9 @@ LONG_S, MOST = 2.5, 0.8
 def motor_runs(recordings: Sequence[tuple[SampleBatch, str]]) -> list[Run]:
     """Runs of the motor bench as they are. Flights with recorded rotor speeds uncut where long
     stretches hold most of them, else bridged: what a motor was given in a lost row may be far from
-    a straight line.
+    a straight line. recordings: the samples of each, and its name.
 
-    recordings: the samples of each, and its name.
-
-    Raises BadInputError where a recording has no run, or a rate that is not one of inertial
-    telemetry.
+    Raises BadInputError where a recording has no run, or no rate of inertial telemetry.
     """
     if not any(np.isfinite(samples.rotor_rev_s).any() for samples, _ in recordings):
         return [run for samples, name in recordings for run in runs_of(samples, name)]
@@ -239,34 +199,26 @@ def estimate_supply(
     wires = vehicle.battery.supply_ohm if SAG in effects else 0.0
     emf_v = np.array([one.a1 / one.a0 / 1000.0 for one in each_motor(motor)])
     read = reading_rhythm(run.supply_v).rows(len(run))
-    regression = _Regression(run, np.zeros((len(run), 7)), read)
     lag = share = 0.0
     for _ in range(3):
         armature = run.duty * motors[:, None]
         speed, _square = simulate_motor(motor, 1000.0 * armature[1:], run.period_s)
         back = (run.duty * speed) @ emf_v
-        regression = _Regression.of(run, (run.duty * armature).sum(axis=1), back, read)
+        regression = _Regression(run, (run.duty * armature).sum(axis=1), back, read)
         lag = regression.best_lag() if LAG in effects else 0.0
         terminal, share = regression.terminal(lag)
         # V = terminal - wires (sum d^2 V - k sum d n) / winding, linear in V.
         squares = (run.duty**2).sum(axis=1)
         motors = (terminal + wires / winding * back) / (1.0 + wires / winding * squares)
-    return SupplyEstimate(
-        motors,
-        lag,
-        regression.lag_stderr(lag) if LAG in effects else 0.0,
-        share * winding,
-        rms(regression.error(lag)),
-    )
+    error = regression.lag_stderr(lag) if LAG in effects else 0.0
+    return SupplyEstimate(motors, lag, error, share * winding, rms(regression.error(lag)))
 
 
 def undo_supply(
     runs: Sequence[Run], motor: MotorConstants | Motors, vehicle: Vehicle, effects: Sequence[str]
 ) -> tuple[list[Run], list[SupplyEstimate]]:
-    """Runs whose ``supply_v`` is what the motors really get, and the estimates behind it.
-
-    Raises BadInputError where PWM or battery voltage are missing.
-    """
+    """Runs whose ``supply_v`` is what the motors really get, and the estimates behind it. Raises
+    BadInputError where PWM or battery voltage are missing."""
     found, estimates = [], []
     for run in runs:
         require_known(run, ("duty", "supply_v"), "a supply cannot be modelled without it")
@@ -277,10 +229,7 @@ def undo_supply(
 
 
 def fit_motor_and_supply(
-    runs: Sequence[Run],
-    vehicle: Vehicle,
-    motor: int = 0,
-    effects: Sequence[str] = (LAG, SAG),
+    runs: Sequence[Run], vehicle: Vehicle, motor: int = 0, effects: Sequence[str] = (LAG, SAG)
 ) -> tuple[MotorFit, list[SupplyEstimate]]:
     """Motor parameters from bench recordings whose battery reading lags and sags.
 
@@ -322,20 +271,13 @@ def supply_terms(
     return terms
 
 
-@dataclass(frozen=True, slots=True)
 class _Regression:
     """The report as a lagged sum of columns: E's polynomial, -load, back-EMF."""
 
-    run: Run
-    plain: Array
-    read: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, run: Run, load: Array, back: Array, read: NDArray[np.int64]) -> _Regression:
-        time = np.linspace(-1.0, 1.0, len(run))
+    def __init__(self, run: Run, load: Array, back: Array, read: NDArray[np.int64]) -> None:
+        self.run, self.read, time = run, read, np.linspace(-1.0, 1.0, len(run))
         drawn = [np.cumsum(one - one.mean()) / len(run) for one in (load, back)]
-        plain = np.column_stack([np.ones(len(run)), time, time**2, -load, back, *drawn])
-        return cls(run, plain, read)
+        self.plain = np.column_stack([np.ones(len(run)), time, time**2, -load, back, *drawn])
 
     def best_lag(self) -> float:
         """The lag in s with the smallest error of the report."""
@@ -388,9 +330,6 @@ def _low_pass(signals: Array, lag_s: float, period_s: float, read: NDArray[np.in
     return held(np.asarray(filtered), read, len(signals))
 
 
-# From bench runs, or runs with measured rotor speed, to a model with its motor.
-
-
 START_S, PIECE_S = 0.5, 2.0
 SUPPLY_DOUBT = (
     "the intervals do not contain the supply model's own error, some 0.5 %; a stiff bench supply"
@@ -420,7 +359,14 @@ def identify_motor(
     else:
         (fit_on, validate_on), apart = hold_out(fit_on), LAST
     measured = any(np.isfinite(run.rotor_rev_s).any() for run in fit_on)
-    _require_known(effects, measured)
+    if unknown := sorted(set(effects) - set(KNOWN)):
+        raise BadInputError(f"--with {', '.join(unknown)}: the motor fit knows {', '.join(KNOWN)}")
+    pointless = [name for name in effects if name in (LAG, SAG)]
+    if pointless and measured:
+        raise BadInputError(
+            f"--with {', '.join(pointless)}: needs bench recordings, on which all motors are"
+            " driven alike"
+        )
     if measured:
         from groundstation.identification.motor.rotors import identify_rotors
 
@@ -436,17 +382,27 @@ def identify_motor(
         fit = fit_motor([bench_run(run, motor) for run in fit_on], names)
     driven = [_driven(run, fit.motor, vehicle, motor, supplied) for run in validate_on]
     progress(0.8, "judging it on held-out data")
-    delay = fit.estimates["delay_s"]
-    drawn = [(run, simulate_run(run, fit.motor, delay, fit.values)) for run in driven[:4]]
+    found = fit.motor, fit.estimates["delay_s"], fit.estimates.of_effects
+    drawn = [(run, simulate_run(run, *found)) for run in driven[:4]]
     traces, residuals = motor_pictures(drawn, sum(len(run) for run in fit_on))
-    terms = [*effect_terms(fit.estimates, unit_of), *supply_terms(supplied, supplies, vehicle)]
+    terms = [*effect_terms(fit.estimates), *supply_terms(supplied, supplies, vehicle)]
     account = {
         "what": "motor",
         "method": "prediction error" + (", supply modelled" if supplied else ""),
         "samples": sum(len(run) for run in fit_on),
         "selection": str(selection),
         "held_out": apart,
-        **_found(fit, driven),
+        "estimates": fit.estimates.as_dict(),
+        "rejected_readings": fit.rejected,
+        "identification": {
+            "rotor_rms_rev_s": list(fit.rms_rev_s),
+            "rotor_fit_percent": list(fit.fit_percent),
+        },
+        "validation": [
+            {"recording": run.name, "rotor_fit_percent": percent, "rotor_rms_rev_s": error}
+            for run in driven
+            for percent, error in [validate_motor(run, *found)]
+        ],
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
         "supply": [one.as_dict() for one in supplies],
         "findings": [delay_in_words(fit.estimates)],
@@ -455,42 +411,9 @@ def identify_motor(
     model = msgspec.structs.replace(
         with_motor(before, fit.motor), effects=with_effects(before, terms)
     )
-    prepared = bench_preparation(fit_on, motor)
+    prepared = partial(bench_figures, max(fit_on, key=len), motor)
     evidence = Evidence({"motor": fit.estimates}, traces, residuals, (), prepared)
     return Identified(model, account, evidence)
-
-
-def _found(fit: MotorFit, validate_on: Sequence[MotorRun]) -> dict[str, Any]:
-    """What the fit says, and how well it predicts either part."""
-    delay = fit.estimates["delay_s"]
-    figures = [
-        (run.name, *validate_motor(run, fit.motor, delay, fit.values)) for run in validate_on
-    ]
-    return {
-        "estimates": fit.estimates.as_dict(),
-        "rejected_readings": fit.rejected,
-        "identification": {
-            "rotor_rms_rev_s": list(fit.rms_rev_s),
-            "rotor_fit_percent": list(fit.fit_percent),
-        },
-        "validation": [
-            {"recording": name, "rotor_fit_percent": percent, "rotor_rms_rev_s": error}
-            for name, percent, error in figures
-        ],
-    }
-
-
-def _require_known(effects: Sequence[str], measured: bool) -> None:
-    """Raises BadInputError for an effect that cannot be fitted along."""
-    unknown = sorted(set(effects) - set(KNOWN))
-    if unknown:
-        raise BadInputError(f"--with {', '.join(unknown)}: the motor fit knows {', '.join(KNOWN)}")
-    pointless = [name for name in effects if name in (LAG, SAG)]
-    if pointless and measured:
-        raise BadInputError(
-            f"--with {', '.join(pointless)}: needs bench recordings, on which all motors are"
-            " driven alike"
-        )
 
 
 def _driven(
@@ -512,15 +435,10 @@ def _turning(runs: Sequence[Run], selection: Selection) -> list[Run]:
     parts = [
         part[round(START_S / part.period_s) :]
         for run in runs
-        for part in turning_parts(run, PIECE_S)
+        for part in run.parts(turning(run), PIECE_S)
     ]
     if selection != EVERYTHING:
-        parts = [
-            part[first:last]
-            for part in parts
-            for first, last in spans(selected(part, selection))
-            if (last - first) * part.period_s >= PIECE_S
-        ]
+        parts = [one for part in parts for one in part.parts(selected(part, selection), PIECE_S)]
     if not parts:
         names = ", ".join(sorted({run.name for run in runs}))
         wanted = "" if selection == EVERYTHING else f" while {selection}"

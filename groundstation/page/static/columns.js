@@ -1,6 +1,6 @@
 // The form that asks which column of a file is which channel, with what the program guesses.
 
-import { at, element, write } from "./dom.js";
+import { at, cell, element, write } from "./dom.js";
 
 const CHOICES_MOST = 80; // columns that a menu lists; more are named by typing
 
@@ -8,7 +8,7 @@ const CHOICES_MOST = 80; // columns that a menu lists; more are named by typing
 export function askColumns(name, why, form, use) {
   write("columns-title", `Columns of ${name}`);
   write("columns-why", [why, ...form.notes].join(" "));
-  at("columns-names").replaceChildren(...form.columns.map(({ reference, text }) => option(reference, text)));
+  at("columns-names").replaceChildren(...form.columns.map(({ reference, text }) => new Option(text, reference)));
   const rows = form.channels.map((one) => row(one, form.columns));
   at("columns-rows").replaceChildren(...rows.map((one) => one.shown));
   at("columns-step").value = "";
@@ -49,9 +49,9 @@ export const wrong = (text) => write("columns-wrong", text);
 function row(channel, columns) {
   const shown = element("tr"), column = chooser(channel, columns);
   const unit = element("select"), sign = element("select");
-  unit.append(...channel.units.map((one) => option(one, one)));
+  unit.append(...channel.units.map((one) => new Option(one, one)));
   unit.value = channel.unit || channel.units[0];
-  sign.append(option("1", "as ours"), option("-1", "opposite"));
+  sign.append(new Option("as ours", "1"), new Option("opposite", "-1"));
   sign.value = String(channel.sign);
   for (const [one, what] of [[column, "column"], [unit, "unit"], [sign, "direction"]]) {
     one.setAttribute("aria-label", `${channel.label}: ${what}`);
@@ -76,7 +76,7 @@ function chooser(channel, columns) {
     made.setAttribute("list", "columns-names");
     made.placeholder = "none";
   } else {
-    made.append(option("", "none"), ...columns.map(({ reference, text }) => option(reference, text)));
+    made.append(new Option("none", ""), ...columns.map(({ reference, text }) => new Option(text, reference)));
   }
   made.value = channel.column ?? "";
   return made;
@@ -84,15 +84,3 @@ function chooser(channel, columns) {
 
 /** A name, or a number where the column's name is not its own. */
 const referenceOf = (columns, value) => columns.find(({ reference }) => String(reference) === value)?.reference;
-
-function option(value, text) {
-  const made = element("option", "", text);
-  made.value = value;
-  return made;
-}
-
-function cell(content) {
-  const made = element("td");
-  made.append(content);
-  return made;
-}

@@ -27,6 +27,19 @@ export function element(kind, style = "", text = "") {
   return made;
 }
 
+export function cell(content) {
+  const made = element("td");
+  made.append(content);
+  return made;
+}
+
+/** A row of a table, with a cell for each content. */
+export function row(...contents) {
+  const made = element("tr");
+  made.append(...contents.map(cell));
+  return made;
+}
+
 /** A button that says by its own words what it does. */
 export function pressable(style, text, work) {
   const made = element("button", style, text);

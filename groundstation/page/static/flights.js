@@ -1,7 +1,7 @@
 // The recordings folder: a list that is updated where it stands, and what is done with the chosen.
 
 import { change } from "./change.js";
-import { at, button, dated, element, link, reconcile, watch, write, writeIn } from "./dom.js";
+import { at, button, dated, element, link, reconcile, row, watch, write, writeIn } from "./dom.js";
 import { openRecording } from "./opened.js";
 import { begunAt } from "./status.js";
 
@@ -60,19 +60,13 @@ function make(one) {
   select.name = one.file;
   select.setAttribute("aria-label", `Role of ${one.file}`);
   select.append(new Option("–", ""), new Option("fit", "use"), new Option("proof", "proof"));
-  const row = element("tr");
-  const cells = [select, one.file, "", "", "", "", "", element("span", "links")];
-  cells[7].append(button("Open", one.file, () => openRecording(one.file)),
+  const links = element("span", "links");
+  links.append(button("Open", one.file, () => openRecording(one.file)),
     link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true));
-  for (const content of cells) {
-    const cell = element("td");
-    cell.append(content);
-    row.append(cell);
-  }
-  return row;
+  return row(select, one.file, "", "", "", "", "", links);
 }
 
-function update(row, one) {
+function update(shown, one) {
   const records = one.state === "recording";
   const began = one.start_ns ? one.start_ns / 1e6 : begunAt(one.file);
   const long = one.duration_s ?? (records && began ? (Date.now() - began) / 1000 : null);
@@ -80,6 +74,6 @@ function update(row, one) {
     3: long === null ? "" : `${long.toFixed(1)} s`, 4: one.link ?? "",
     5: `${(one.bytes / 1e6).toFixed(1)} MB`, 6: WORDS[one.state] ?? one.state };
   for (const [place, text] of Object.entries(texts)) {
-    writeIn(row.cells[place], text);
+    writeIn(shown.cells[place], text);
   }
 }

@@ -1,7 +1,7 @@
 // The models that jobs have made: their numbers, and what can be done with them.
 
 import { change } from "./change.js";
-import { at, button as action, element, link, watch } from "./dom.js";
+import { at, button as action, element, link, row, watch } from "./dom.js";
 
 export function watchModels() {
   watch("models", "models", show);
@@ -74,12 +74,9 @@ function numbers(one, open) {
   }
   const body = element("tbody");
   for (const number of one.parameters) {
-    const row = element("tr");
-    const cells = [number.name, digits(number.value),
+    body.append(row(number.name, digits(number.value),
       ...(number.low === null ? [`– (${number.origin})`, "–"] : [digits(number.low), digits(number.high)]),
-      number.unit, number.meaning];
-    row.append(...cells.map((text) => element("td", "", text)));
-    body.append(row);
+      number.unit, number.meaning));
   }
   const top = element("thead");
   top.append(head);

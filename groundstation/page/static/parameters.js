@@ -1,7 +1,7 @@
 // The craft's parameters: read, searched, changed after a question, put back, and stored.
 
 import { confirmed, send } from "./change.js";
-import { at, element, reconcile, write, writeIn } from "./dom.js";
+import { at, element, reconcile, row, write, writeIn } from "./dom.js";
 
 const SHOWN_MOST = 150;
 let values = null; // by name, as the craft last said
@@ -63,7 +63,7 @@ function show() {
 }
 
 function make(name) {
-  const row = element("tr"), form = element("form", "inline-form"), input = element("input");
+  const form = element("form", "inline-form"), input = element("input");
   input.type = "number";
   input.step = "any";
   input.required = true;
@@ -75,15 +75,13 @@ function make(name) {
     event.preventDefault();
     if (await change({ [name]: Number(input.value) })) input.value = "";
   });
-  row.append(element("td", "", name), element("td"), element("td"));
-  row.cells[2].append(form);
-  return row;
+  return row(name, "", form);
 }
 
-function update(row, name) {
+function update(shown, name) {
   const now = digits(values[name]), before = digits(first.get(name));
   const text = now === before ? now : `${now} (was ${before})`;
-  writeIn(row.cells[1], name in stored ? `${text}, stored ${digits(stored[name])}` : text);
+  writeIn(shown.cells[1], name in stored ? `${text}, stored ${digits(stored[name])}` : text);
 }
 
 async function change(wanted) {

@@ -1,6 +1,5 @@
-"""What the body fit estimates (constants, effects named by the user, nuisances), and how
-certain it is.
-"""
+"""What the body fit estimates (constants, effects named by the user, nuisances), how certain it is,
+and what is refused or warned of."""
 
 from __future__ import annotations
 
@@ -11,36 +10,44 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from groundstation.dynamics.effect import CANDIDATES, GYRO, Key, Role, variants
+from groundstation.dynamics.effect import (
+    CANDIDATES,
+    GYRO,
+    Key,
+    Role,
+    variants,
+)
 from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle, mean_motor
 from groundstation.errors import BadInputError
-from groundstation.identification.division import Stretch
-from groundstation.identification.estimate import inverse
+from groundstation.identification.estimate import Estimates, implausible, inverse
 from groundstation.identification.flight import (
     Flight,
-    Gaps,
+    Stretch,
     attitude_rows,
-    is_force_between,
     speed_spectrum,
     velocity_in,
 )
 from groundstation.identification.likelihood.evaluation import Columns, evaluate
-from groundstation.identification.likelihood.motion import MOTOR_KEYS, SENSOR_LAG, Point, value
-from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.spectra import (
+from groundstation.identification.likelihood.linear import Linear, linearise
+from groundstation.identification.likelihood.motion import (
+    MOTOR_KEYS,
+    SENSOR_LAG,
+    Point,
+    value,
+)
+from groundstation.identification.likelihood.problem import (
     FreeFit,
     Limits,
-    Linear,
+    Problem,
     fit_free,
     joined,
-    linearise,
     without_upper_ends,
 )
 from groundstation.identification.motor.workflow import LAG, SAG
 from groundstation.identification.runs import Run
-from groundstation.telemetry.arrays import Array
+from groundstation.telemetry.arrays import AXES, Array
 from groundstation.telemetry.packet import FULL_16_BIT, STANDARD_GRAVITY
 
 # What the body fit estimates: constants, effects named by the user, and nuisances.
@@ -53,7 +60,7 @@ from groundstation.telemetry.packet import FULL_16_BIT, STANDARD_GRAVITY
 GAINS = ("c0", "c1")
 CONSTANTS = (*GAINS, "c2")
 SUPPLY_EFFECTS = (LAG, SAG)
-"""Undone before the fit, from the report itself (``motor/supply.py``): they change what drives the
+"""Undone before the fit, from the report itself (``undo_supply``): they change what drives the
 motors, and a flight's rates alone cannot tell them from other constants."""
 SOUGHT = {name: [key.name for key in one.parameters if key.tried] for name, one in EFFECTS.items()}
 """Shapes that have to be tried over their whole range, which the search does."""
@@ -76,9 +83,6 @@ PACE = "motor_pace"
 PACE_LIMIT, PACE_STRIDE = 0.9, 0.25
 LONGEST_LAG_S, LAG_STRIDE_S = 0.01, 2e-3
 """Of a sensor that averages over revolutions."""
-PACE_LEAST_HZ, PACE_MOST_SHARE = 0.3, 0.9
-"""The motors' lag shows around 2 Hz; drift below, and near the end of the spectrum what joining
-topics of different rates has left, are not theirs."""
 TIMING_EFFECTS = {
     name
     for name, one in EFFECTS.items()
@@ -157,24 +161,6 @@ class Setup:
         """The same where only a band (Hz) counts."""
         top_hz = 0.5 / self.problem.flights[0].period_s
         return replace(self, least_hz=band[0], most_share=min(1.0, band[1] / top_hz))
-
-    def for_pace(self) -> Setup:
-        """The same for the motors' pace, from roll and pitch alone."""
-        nuisances = [one for one in self.nuisances if one not in (SPIN_UP, PACE)]
-        return replace(
-            self,
-            start={**self.start, PACE: 0.0},
-            nuisances=(*nuisances, PACE),
-            channels=range(2),
-            least_hz=PACE_LEAST_HZ,
-            most_share=PACE_MOST_SHARE,
-        )
-
-    def unfiltered(self) -> Setup:
-        """The same for rates that have passed no filter on board."""
-        problem = copy(self.problem)
-        problem.frame = replace(problem.frame, gyro_filter_hz=0.0)
-        return replace(self, problem=problem)
 
     def residuals(self, point: Point) -> list[Array]:
         """Measured less modelled acceleration (n, 3) of each flight's gyro, rad/s^2."""
@@ -268,37 +254,19 @@ def require_known(names: Sequence[str]) -> None:
         raise BadInputError(f"--with {name}: the body fit knows {', '.join(FIT_WITH)}")
 
 
-def reported_name(one: Key) -> str:
-    """The name of an unknown's parameter as a model has it."""
-    return f"{one.effect.name}.{one.parameter.name}"
-
-
 def as_flight(stretch: Stretch) -> Flight:
     """A stretch as the likelihood wants it."""
     run, (first, last) = stretch.run, (stretch.first, stretch.last)
     known = np.ones(len(run), np.bool_)
     has_accelerometer = bool(np.isfinite(run.accelerometer).all())
-    attitude = None
+    attitude = up = None
     if np.isfinite(run.attitude).all():
         attitude = attitude_rows(run, known, first, last)
-    return Flight(
-        run,
-        known,
-        first,
-        last,
-        attitude,
-        np.full(len(run), np.inf),
-        slice(first, last),
-        (False, False),
-        has_accelerometer,
-        stretch.motor is None,
-        Gaps(~known[first:last]),
-        (np.array([0.0, 0.0, 1.0]), STANDARD_GRAVITY)
-        if has_accelerometer and attitude is not None
-        else None,
-        None,
-        is_force_between(run, attitude, first, last),
-    )
+    if has_accelerometer and attitude is not None:
+        up = np.array([0.0, 0.0, 1.0]), STANDARD_GRAVITY
+    there = attitude, np.full(len(run), np.inf), slice(first, last), (False, False)
+    measured = stretch.motor is None
+    return Flight(run, known, first, last, *there, has_accelerometer, measured, up, None)
 
 
 def _model(motor: MotorConstants | Motors | None, vehicle: Vehicle) -> Model:
@@ -332,10 +300,6 @@ def _slow_moments(flights: Sequence[Flight]) -> dict[str, list[Columns]]:
     return found
 
 
-# How certain the constants are: by the likelihood, by how much parts of the flights disagree, and
-# by how much an estimate moves with the band it is made in.
-
-
 Known = tuple[Point, Array]
 """Estimates and their covariance (p, p)."""
 
@@ -354,12 +318,10 @@ class Certainty:
 BANDS = ((1.0, 60.0), (0.3, 40.0), (2.0, 30.0))
 YAW_BANDS, DRAG_HZ = BANDS[:2], (0.3, 4.0)
 """Hz. A constant of the craft is the same in all of them. Above some 2 Hz yaw answers to the change
-of the rotors' speeds, not to their drag: c2 is then what a wrong phase of that change leaves, and
-noisy speeds do not tell the phase."""
+of the rotors' speeds, not to their drag."""
 STEERED_HZ, NARROWER_HZ = (2.0, 20.0), (4.0, 18.0)
 """Hz. Below, torque answers to slow moments of the air and the balance; above, to vibration that
-the controller copies. In between the coherence of torque and acceleration is highest on real
-flights."""
+the controller copies."""
 BLOCK_S, LEAST_BLOCKS, LEAST_FLIGHTS = 5.0, 8, 4
 """Longer than what the spectra remember; scatter over fewer blocks says nothing."""
 AGAIN = (*CONSTANTS, "slow_moment", SPIN_UP, DELAY, SENSOR_LAG)
@@ -381,9 +343,8 @@ MOTION_S = 0.05
 BY_CHANCE = 2.5
 """Standard deviations by which blocks or bands may disagree before it counts."""
 ABOVE, NOISY = 1.5, 30.0
-"""Measured speeds tell too little above ``STEERED_HZ`` where within half as much again there is
-less than so many times the noise: noise in what is recorded bends a gain by its share, and 3 % is
-what a minute's flight tells."""
+"""Measured speeds tell too little above ``STEERED_HZ`` where up to so many times of it there is
+less than so many times the noise, which bends a gain by its share."""
 
 
 def certain(setup: Setup, free: FreeFit, noisy: bool) -> Certainty:
@@ -469,8 +430,8 @@ def is_fast(period_s: float) -> bool:
 def open_delay_s(period_s: float) -> float:
     """Delay that rows leave open: half of what a row is longer than a setting, 0 where it is none.
 
-    A craft answers a disturbance within a row that holds several settings, so these go with what
-    the row's own disturbance did: to a model that takes them as given before, all seems late.
+    Its settings answer to the row's own disturbance: to a model that takes them as given before
+    it, all seems late.
     """
     return 0.0 if is_fast(period_s) else 0.5 * (period_s - 1.0 / CONTROL_HZ)
 
@@ -508,11 +469,10 @@ def folds(run: Run) -> bool:
 def between_rows(setup: Setup) -> dict[str, float]:
     """Relative standard errors of the constants from settings of the motors that no row shows.
 
-    Setpoint, attitude and rate each come to the controller in steps of their own. The torque is the
-    small difference of what it makes of them, so one setting of several, always the same of each
-    turn, is not a sample of their mean: angles seem to come earlier or later than setpoints by up
-    to what lies between rows. The share of the torque that this is: the phase it makes at the
-    frequency at which the craft turns to and fro. About yaw the setting alternates (``folds``).
+    One setting of several, always the same of each turn, is not a sample of their mean: angles
+    seem to come earlier or later than setpoints by up to what lies between rows. The share of the
+    torque that this is: the phase it makes at the frequency at which the craft turns to and fro.
+    About yaw the setting alternates (``folds``).
     """
     flights = setup.problem.flights
     period, settings = flights[0].period_s, settings_a_row(flights[0].run)
@@ -571,11 +531,8 @@ def _scores(setup: Setup, free: FreeFit) -> dict[tuple[int, int], Array]:
 
 
 def _moves(setup: Setup, free: FreeFit, covariance: Array, noisy: bool) -> dict[str, float]:
-    """How far c0, c1, c2 move with the band where that is beyond chance, otherwise 0.
-
-    Rotors, their sensor and the joining of rows are the same for roll and pitch: what is wrong
-    with them bends both alike, and may show in the one that is flown more.
-    """
+    """How far c0, c1, c2 move with the band where that is beyond chance, otherwise 0: roll and
+    pitch alike, for what is wrong with rotors and rows bends both."""
     places = {key: setup.keys.index(key) for key in CONSTANTS if key in setup.keys}
     gains = {key: i for key, i in places.items() if key in GAINS}
     drag = {"c2": places["c2"]}
@@ -607,3 +564,278 @@ def _tells(one: Known, places: Mapping[str, int]) -> bool:
     """Whether a band knows all these well enough to judge by them."""
     point, covariance = one
     return all(covariance[i, i] <= (TELLS * point[key]) ** 2 for key, i in places.items())
+
+
+CLEAR = 6.0
+"""Standard errors from which an effect that was left out is worth a word."""
+HINTS = ("inertia_coupling.fraction", "rotor_gyroscopic_torque.rotor_inertia_kg_m2")
+"""Unknowns of effects that every craft has beside the nuisances: a word where they show."""
+CROSS_TALK = 0.3
+"""Share of an axis's own torque constant that another axis's torque may seem to have."""
+TURNED, TURNED_ERRORS = 0.4, 10.0
+"""The same where both axes do and the signs are those of a turn, and how many standard errors make
+it certain: rotors 45 degrees away give 1."""
+WELL_KNOWN, UNKNOWN = 0.05, 0.5
+"""Standard errors over the value from which a constant is worth a warning, or a refusal."""
+MOVES = 0.1
+"""Share of a constant from which its moving with the band is worth a word."""
+EVERY_SETTING = "500 rows a second, or rotor speeds"
+ALIKE = 0.97
+"""Correlation beyond which two estimates are told only together."""
+
+
+def require_usable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
+    """Raises BadInputError for mixed rates, and for a torque or a rate that never changes."""
+    period = stretches[0].run.period_s
+    for stretch in stretches:
+        if abs(stretch.run.period_s / period - 1) > 0.01:
+            raise BadInputError(
+                f"{stretch.run.name}: {1 / stretch.run.period_s:.0f} rows a second, others"
+                f" {1 / period:.0f}; the noise model needs one rate: fit them apart"
+            )
+        torque = stretch.squares.mixed(vehicle.configuration)[stretch.rows]
+        turned = np.diff(stretch.run.gyro[stretch.rows], axis=0)
+        for axis, name in enumerate(AXES):
+            if np.ptp(torque[:, axis]) == 0.0 or np.ptp(turned[:, axis]) == 0.0:
+                raise BadInputError(
+                    f"{stretch.run.name}: torque or rate about {name} is constant;"
+                    " fly, and move all three axes"
+                )
+
+
+def slow_rows(run: Run, shares: Mapping[str, float]) -> list[str]:
+    """A warning where rows come slower than the controller moves the motors, otherwise nothing.
+    shares: of ``between_rows``."""
+    if not shares:
+        return []
+    share = max(size for name, size in shares.items() if name in GAINS)
+    return [
+        f"{1 / run.period_s:.0f} rows a second hold one in {settings_a_row(run):.2g} of the"
+        f" motors' settings: c0 and c1 are uncertain by {100 * share:.0f} % for it where the motor"
+        f" was fitted (--model), by more where it was not; record {EVERY_SETTING}"
+    ]
+
+
+def require_told(setup: Setup, point: Point, variances: Array) -> None:
+    """A c0 or c1 that may as well be zero is no model, nor is a negative constant. variances: (p,)
+    by the likelihood."""
+    errors = np.sqrt(variances)
+    names = ", ".join(sorted({f.run.name for f in setup.problem.flights}))
+    for key in setup.keys:
+        if key not in CONSTANTS:
+            continue
+        axis = "roll and pitch" if setup.tied and key == "c0" else AXES[CONSTANTS.index(key)]
+        found, error = point[key], float(errors[setup.keys.index(key)])
+        unclear = not np.isfinite(found) or error > UNKNOWN * abs(found)
+        if unclear and key == "c2":
+            continue  # figures of eight hardly turn the craft about yaw: not identified
+        if unclear:
+            why = "; was the craft free to turn, and is the vehicle profile the right one?"
+            if blurred(setup.problem.flights):
+                why = (
+                    ": measured rotor speeds are noisy; fly longer and move that axis more, or fit"
+                    " without --measured-rotors"
+                )
+            raise BadInputError(
+                f"{names}: torque does not show in the rate about {axis} (its constant is"
+                f" {found:.3g} +- {error:.2g}){why}"
+            )
+        if found <= 0.0:
+            raise BadInputError(
+                f"{names}: {key} came out negative ({found:.3g} +- {error:.2g}): the craft turns"
+                f" against the torque about {axis}; motors, axes or configuration are not those"
+                " of the vehicle profile"
+            )
+
+
+def untold(
+    estimates: Estimates,
+    moves: Mapping[str, float],
+    missed: Mapping[str, float],
+    flights: Sequence[Flight],
+) -> dict[str, str]:
+    """c2 where it is not identified, with the reason. missed: of ``between_rows``.
+
+    Raises BadInputError where c0 or c1 is not: without them there is no model.
+    """
+    found = {}
+    for name, size, error in estimates.rows:
+        if name not in CONSTANTS or error <= UNKNOWN * abs(size):
+            continue
+        axis, move = AXES[CONSTANTS.index(name)], moves.get(name, 0.0)
+        reason = f"{axis} is hardly excited: {size:.3g} +- {error:.2g}"
+        if move > 0.5 * error:
+            much = "more than its size" if move > abs(size) else f"{100 * move / abs(size):.0f} %"
+            reason = (
+                f"it moves by {much} with the band of frequencies it is estimated in, so something"
+                f" else turns {axis}"
+            )
+        if missed.get(name, 0.0) > UNKNOWN:
+            reason = (
+                f"{settings_a_row(flights[0].run):.2g} settings of the motors pass in each row, so"
+                f" one that alternates looks like one that lasts: {size:.3g} +- {error:.2g}"
+            )
+        if name != "c2" and error**2 - move**2 <= (UNKNOWN * size) ** 2:
+            continue  # a cut band is biased in closed loop where little is excited: warned of
+        if name != "c2":
+            names = ", ".join(sorted({f.run.name for f in flights}))
+            raise BadInputError(f"{names}: {name} is not identified, because {reason}")
+        found[name] = reason
+    return found
+
+
+def given_way(whole: Point, point: Point, flights: Sequence[Flight]) -> list[str]:
+    """A warning where c0 and c1 are not those of all frequencies: what these say instead."""
+    off = [whole[key] / point[key] - 1.0 for key in GAINS]
+    if not any(off):
+        return []
+    low, high = STEERED_HZ
+    reason = (
+        "measured rotor speeds are too noisy or too slow above"
+        if flights[0].rotor_measured
+        else "rows do not show every setting of the motors, which counts above"
+    )
+    return [
+        f"c0 and c1 are those of {low:g} to {high:g} Hz, for {reason}: all frequencies together say"
+        f" {100 * off[0]:+.0f} and {100 * off[1]:+.0f} %"
+    ]
+
+
+def unused_speeds(flights: Sequence[Flight]) -> list[str]:
+    """A warning where rotor speeds were recorded throughout and the motors' model drove the fit."""
+    unused = [
+        one for one in flights if not one.rotor_measured and np.isfinite(one.run.rotor_rev_s).all()
+    ]
+    if len(unused) < len(flights):
+        return []
+    return [
+        "rotor speeds were recorded and are not used: with --measured-rotors c0 and c1 do not"
+        " depend on how fast the motors are believed to answer"
+    ]
+
+
+def warnings_of(
+    estimates: Estimates, moves: Mapping[str, float], beside: Mapping[str, float]
+) -> list[str]:
+    """What of the estimates is poorly known, implausible, or told only together. beside: relative
+    errors that have a warning of their own."""
+    lines = []
+    for name, found, error in estimates.rows:
+        if name == "c2" and error > UNKNOWN * abs(found):
+            continue
+        if moves.get(name, 0.0) > MOVES * abs(found):
+            lines.append(
+                f"{AXES[CONSTANTS.index(name)]} is hardly excited, or what turns it is not all"
+                f" in the model: {name} is uncertain by {100 * error / abs(found):.0f} %, it moves"
+                " with the band of frequencies it is estimated in"
+            )
+        elif name in CONSTANTS and error > np.hypot(WELL_KNOWN, beside.get(name, 0.0)) * abs(found):
+            lines.append(
+                f"{AXES[CONSTANTS.index(name)]} is hardly excited: {name} is uncertain by"
+                f" {100 * error / abs(found):.0f} %; move that axis more"
+            )
+        elif "." in name:
+            lines += implausible(name, found, error)
+    correlation = estimates.correlation
+    for i, one in enumerate(estimates.names):
+        for j, other in enumerate(estimates.names[:i]):
+            if "." in one + other and abs(correlation[i, j]) > ALIKE:
+                lines.append(
+                    f"{other} and {one} are told only together (correlation"
+                    f" {correlation[i, j]:+.2f}){_separation(one, other)}"
+                )
+    return lines
+
+
+def _separation(one: str, other: str) -> str:
+    """What to fly to tell two effects apart, where the catalogue knows."""
+    first, second = one.partition(".")[0], other.partition(".")[0]
+    for effect, rival in ((first, second), (second, first)):
+        for confusion in EFFECTS[effect].confused_with if effect in EFFECTS else ():
+            if confusion.other == rival:
+                return f"; {confusion.manoeuvre}"
+    return ""
+
+
+def cross_talk(setup: Setup, free: FreeFit) -> dict[str, list[str]]:
+    """Axes whose rate answers to another axis's torque as well, with a warning for each.
+
+    Raises BadInputError where roll and pitch answer to each other's in opposite senses: the rotors
+    sit a part of a turn away from the profile's.
+    """
+    vehicle = setup.problem.frame.vehicle
+    names = ", ".join(sorted({f.run.name for f in setup.problem.flights}))
+    lines: dict[str, list[str]] = {}
+    share, clear = np.zeros((3, 3)), np.zeros((3, 3), np.bool_)
+    torque = _torques(setup, free)
+    for axis, name in enumerate(AXES):
+        normal, gradient = np.zeros((3, 3)), np.zeros(3)
+        for s, power, left in zip(free.linear.spectra, free.powers, free.left, strict=True):
+            if s.channel == axis and s.flight in torque:
+                weight = s.weight / np.tile(power, 2)
+                columns = torque[s.flight]
+                normal += (columns * weight) @ columns.T
+                gradient += columns @ (weight * left)
+        covariance = inverse(normal)
+        gain, error = covariance @ gradient, np.sqrt(np.diag(covariance))
+        own = free.point[CONSTANTS[axis]] + gain[axis]
+        share[axis], clear[axis] = gain / own, np.abs(gain) > TURNED_ERRORS * error
+        found = [
+            f"{name} turns with the torque about {AXES[other]} as well"
+            f" ({gain[other] / own:+.0%}): is the profile's configuration"
+            f" '{vehicle.configuration}' the craft's?"
+            for other in {0, 1, 2} - {axis}
+            if abs(gain[other]) > max(CROSS_TALK * abs(own), 5 * error[other])
+        ]
+        if found:
+            lines[name] = found
+    crossed = share[0, 1] * share[1, 0] < 0 and min(abs(share[0, 1]), abs(share[1, 0])) > TURNED
+    if crossed and clear[0, 1] and clear[1, 0]:
+        raise BadInputError(
+            f"{names}: not flown by a {vehicle.name!r}: roll answers to pitch torque"
+            f" ({share[0, 1]:+.0%}) and pitch to roll torque ({share[1, 0]:+.0%}); its rotors do"
+            f" not sit in configuration '{vehicle.configuration}': give the right --vehicle"
+        )
+    return lines
+
+
+def _torques(setup: Setup, free: FreeFit) -> dict[int, Array]:
+    """Flight -> spectra (3, 2 m) of the mixer's u' about each axis."""
+    found: dict[int, dict[int, Array]] = {}
+    for s in setup.linearise(free.point).spectra:
+        key = "c0" if setup.tied and s.channel == 1 else CONSTANTS[s.channel]
+        place = np.flatnonzero(s.place == setup.keys.index(key))
+        if len(place):
+            found.setdefault(s.flight, {})[s.channel] = s.columns[place[0]]
+    return {
+        flight: np.stack([one[axis] for axis in range(3)])
+        for flight, one in found.items()
+        if len(one) == 3
+    }
+
+
+def late_in(nuisances: Mapping[str, tuple[float, float]], errors: float) -> list[str]:
+    """Effects by which rotors answer late, by name, where flights show them beyond so many standard
+    errors."""
+    return [
+        key.partition(".")[0]
+        for key, (size, error) in nuisances.items()
+        if key in (DELAY, SPIN_UP) and size > errors * error
+    ]
+
+
+def hints(
+    setup: Setup, free: FreeFit, nuisances: Mapping[str, tuple[float, float]]
+) -> tuple[str, ...]:
+    """Effects that were not fitted along although the prediction errors show them clearly."""
+    found = late_in(nuisances, CLEAR)
+    there = {one.key for keys in setup.variants for one in keys}
+    for key in HINTS:
+        if key in there:
+            continue
+        normal, gradient = setup.linearise(free.point, (key,)).equations(free.powers)
+        covariance = inverse(normal)
+        size, error = (covariance @ gradient)[-1], float(np.sqrt(covariance[-1, -1]))
+        if abs(size) > CLEAR * error and value(free.point, key) == 0.0:
+            found.append(key.partition(".")[0])
+    return tuple(found)

@@ -1,10 +1,8 @@
-"""ARX identification (thesis 7.3.7): from flights to polynomials, with the thesis's tables and
-tests.
-"""
+"""ARX identification (thesis 7.3.7): from flights to polynomials, with its tables and tests."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -26,30 +24,24 @@ from groundstation.dynamics.model import (
 from groundstation.dynamics.rotations import body_rates, euler_rates
 from groundstation.dynamics.vehicle import Configuration, MotorConstants, Motors, Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.division import LEAST_S, Stretch, divided, stretches_of
 from groundstation.identification.estimate import (
     Estimates,
-    cross_correlation_test,
-    inverse,
-    sandwich,
-)
-from groundstation.identification.fit_record import (
     Evidence,
     Identified,
     Progress,
-    ResidualTest,
     Step,
     Trace,
+    cross_correlation_test,
+    inverse,
     liveliest,
     residual_test,
+    sandwich,
     silent,
 )
+from groundstation.identification.flight import LEAST_S, Stretch, divided, stretches_of
 from groundstation.identification.runs import EVERYTHING, Run, Selection, rotor_squares
 from groundstation.prediction.prediction import Ahead
 from groundstation.telemetry.arrays import AXES, Array
-
-# One axis's input and output for ARX models, and whether they can tell anything.
-
 
 LEAST_ROWS = 300
 SETTLE_S = 0.6
@@ -78,12 +70,8 @@ def arx_data(
     """The mixer's u' and the angle (or the body rate) of one axis of a run.
 
     u' of a row is the mean over the period that ends with the row, so a body without delay has
-    nk = 0 on its rate. The first 0.6 s are left out: motor speeds are uncertain there.
-
-    channel: ``attitude`` (as in the thesis) or ``gyro``. decimate: keep every so many-th row. u'
-    is averaged over the rows between, and so is the gyro (the same filter on both leaves the
-    model what it is, and takes the rotors' vibration away); of the angle, which is fresh in every
-    second row only, fresh rows are kept.
+    nk = 0 on its rate. channel: ``attitude`` (as in the thesis) or ``gyro``. decimate: rows of
+    which one is kept, with u' and gyro averaged over them all, and of the angle a fresh one.
 
     Raises BadInputError where a channel is missing.
     """
@@ -96,18 +84,15 @@ def arx_data(
     inputs = rotor_squares(run, motor).mixed(configuration)[settled:, index]
     outputs = outputs[settled:]
     if decimate > 1:
-        first = _freshest(outputs, decimate) if channel == "attitude" else 0
+        first = 0
+        if channel == "attitude":  # from the row from which every so many-th is fresh
+            changed = np.flatnonzero(np.diff(outputs)) + 1
+            first = int(np.bincount(changed % decimate, minlength=decimate).argmax())
         kept = np.arange(first + decimate, len(outputs), decimate)
         inputs = _block_means(inputs, kept, decimate)
         outputs = outputs[kept] if channel == "attitude" else _block_means(outputs, kept, decimate)
     columns = np.ascontiguousarray(inputs), np.ascontiguousarray(outputs)  # one type to numba
     return ArxData(run.name, run.period_s * decimate, *columns)
-
-
-def _freshest(outputs: Array, decimate: int) -> int:
-    """The row, of the first ``decimate``, from which every so many-th holds a fresh value."""
-    changed = np.flatnonzero(np.diff(outputs)) + 1
-    return int(np.bincount(changed % decimate, minlength=decimate).argmax())
 
 
 def _block_means(values: Array, kept: NDArray[np.intp], decimate: int) -> Array:
@@ -122,8 +107,7 @@ def input_shows(fit: Sequence[ArxData]) -> float:
     About 1 where it does not show at all; beyond 3 it certainly does.
     """
     longest = SHOWN_LAGS
-    outputs, inputs = [], []
-    targets = []
+    outputs, inputs, targets = [], [], []
     for data in fit:
         rows = np.arange(longest, len(data.outputs))
         step = np.diff(data.outputs, prepend=data.outputs[0])
@@ -229,11 +213,8 @@ class ArxSearch:
 
 
 def parse_orders(texts: Sequence[str]) -> list[Order]:
-    """Structures as a user types them, ``na,nb,nk`` each, once.
-
-    Raises BadInputError where one is none of the 88, or for more than can be told apart in one
-    figure.
-    """
+    """Structures as a user types them, ``na,nb,nk`` each, once. Raises BadInputError where one is
+    none of the 88, or for more than can be told apart in one figure."""
     found: list[Order] = []
     for text in texts:
         parts = text.split(",")
@@ -282,16 +263,8 @@ def search_arx(
     candidates = []
     for s, (p, q, d) in enumerate(orders.tolist()):
         axis = ArxAxis(p, q, d, tuple(a[s, :p].tolist()), tuple(b[s, :q].tolist()), period)
-        candidates.append(
-            ArxCandidate(
-                axis,
-                errors[s][0],
-                float(rms_fit[s]),
-                float(rms_validation[s]),
-                errors[s][1],
-                plausible_step(axis),
-            )
-        )
+        (stderr, step), free = errors[s], (float(rms_fit[s]), float(rms_validation[s]))
+        candidates.append(ArxCandidate(axis, stderr, *free, step, plausible_step(axis)))
     candidates.sort(key=lambda c: c.rms_validation)
     pool = [c for c in candidates if c.order in among] if among else candidates
     chosen = _simplest(pool) if criterion is Criterion.FREE_RUN else _likeliest(pool, rows, fit)
@@ -301,11 +274,10 @@ def search_arx(
 def arx_estimates(axis: ArxAxis, fit: Sequence[ArxData]) -> Estimates:
     """The model's coefficients a1.. and b1.. with a covariance that allows for coloured errors.
 
-    Least squares takes them for white, which they are not where the structure is too small or
-    the angle is held: scores are summed over half a second here.
+    They are where the structure is too small or the angle is held: scores are summed over
+    ``BLOCK_S``.
     """
-    first = max(MOST_POLES, axis.nk + axis.nb)
-    size = axis.na + axis.nb
+    first, size = _longest(axis), axis.na + axis.nb
     normal, scores = np.zeros((size, size)), []
     for data in fit:
         rows = np.arange(first, len(data.outputs))
@@ -336,13 +308,11 @@ def step_response(axis: ArxAxis, seconds: float = 0.5) -> tuple[Array, Array]:
 
 def free_run_rms(axis: ArxAxis, data: Sequence[ArxData], window_s: float = WINDOW_S) -> float:
     """Free-run RMS error of any model on any data: also one axis's model on another's."""
-    order = np.array([[axis.na, axis.nb, axis.nk]])
-    a, b = np.zeros((1, MOST_POLES)), np.array([axis.b])
-    a[0, : axis.na] = axis.a
-    longest = max(MOST_POLES, axis.nk + axis.nb)
+    order, longest = np.array([[axis.na, axis.nb, axis.nk]]), _longest(axis)
     for one in data:
         require_usable(one, axis.ts, longest)
-    return float(_free_run_rms(order, a, b, data, window_s, longest)[0])
+    b = np.array([axis.b])
+    return float(_free_run_rms(order, _poles(axis)[None], b, data, window_s, longest)[0])
 
 
 def prediction_rms(axis: ArxAxis, data: Sequence[ArxData], steps: int) -> float:
@@ -358,12 +328,20 @@ def predictions(axis: ArxAxis, data: ArxData, steps: int) -> tuple[Array, int]:
     """Outputs (n,) predicted ``steps`` rows ahead, and the first row that is a prediction."""
     from groundstation.identification.likelihood.kernels import steps_ahead
 
-    a = np.zeros(MOST_POLES)
-    a[: axis.na] = axis.a
-    first = max(MOST_POLES, axis.nk + axis.nb)
+    a, b, first = _poles(axis), np.array(axis.b), _longest(axis)
     predicted = np.zeros(len(data.outputs))
-    steps_ahead(a, np.array(axis.b), axis.nk, data.inputs, data.outputs, steps, first, predicted)
+    steps_ahead(a, b, axis.nk, data.inputs, data.outputs, steps, first, predicted)
     return predicted, first + steps - 1
+
+
+def _longest(axis: ArxAxis) -> int:
+    """Rows that a model looks back."""
+    return max(MOST_POLES, axis.nk + axis.nb)
+
+
+def _poles(axis: ArxAxis) -> Array:
+    """a, (``MOST_POLES``,) with 0 behind its last."""
+    return np.pad(np.array(axis.a, np.float64), (0, MOST_POLES - axis.na))
 
 
 def residuals(axis: ArxAxis, data: ArxData) -> Array:
@@ -380,10 +358,8 @@ def plausible_step(axis: ArxAxis) -> bool:
     """
     from groundstation.identification.likelihood.kernels import step_turns_one_way
 
-    a = np.zeros(MOST_POLES)
-    a[: axis.na] = axis.a
     settled, rows = round(SETTLE_STEP_S / axis.ts), round(STEP_S / axis.ts)
-    return bool(step_turns_one_way(a, np.array(axis.b), axis.nk, settled, rows))
+    return bool(step_turns_one_way(_poles(axis), np.array(axis.b), axis.nk, settled, rows))
 
 
 DIFFERENCES = np.array([[1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1]], np.float64)
@@ -512,20 +488,23 @@ def with_arx_attitude(body: Ahead, model: Model, run: Run) -> Ahead:
     for first in range(0, len(body.rows), PART):
         part = slice(first, first + PART)
         starts = body.rows[part]
-        flown = np.stack(
-            [
-                arx_ahead(polynomials[axis], inputs[:, i], outputs[:, i], starts, longest, every)
-                for i, axis in enumerate(AXES)
-            ],
-            axis=-1,
-        )
+        each = [
+            arx_ahead(polynomials[axis], inputs[:, i], outputs[:, i], starts, longest, every)
+            for i, axis in enumerate(AXES)
+        ]
+        flown = np.stack(each, axis=-1)
         if rates:
             flown = _at(flown, middle, int(body.horizons[-1]))
             turned = _integrated(flown, attitude[starts], run.period_s)
             gyro[part], angles[part] = flown[:, body.horizons], turned[:, body.horizons]
         else:
-            gyro[part] = _slopes(flown, attitude, starts, body.horizons, every, run.period_s)
+            # Rates are what the angles turned lately.
+            span = max(SLOPE_ROWS, every)
+            before = np.maximum(starts[:, None] + np.arange(-span, 0), 0)
+            whole = np.concatenate([attitude[before], flown], axis=1)
+            turned = whole[:, body.horizons + span] - whole[:, body.horizons]
             angles[part] = flown[:, body.horizons]
+            gyro[part] = body_rates(flown[:, body.horizons], turned / (span * run.period_s))
     return replace(body, gyro=gyro, attitude=angles)
 
 
@@ -557,22 +536,6 @@ def _at(flown: Array, later: float, longest: int) -> Array:
     return (1.0 - share) * flown[:, before] + share * flown[:, after]
 
 
-def _slopes(
-    flown: Array,
-    measured: Array,
-    starts: NDArray[np.int64],
-    horizons: NDArray[np.int64],
-    every: int,
-    period_s: float,
-) -> Array:
-    """Body rates (m, g, 3) of angles flown (m, rows + 1, 3), from what they turned lately."""
-    span = max(SLOPE_ROWS, every)
-    before = np.maximum(starts[:, None] + np.arange(-span, 0), 0)
-    whole = np.concatenate([measured[before], flown], axis=1)
-    turned = whole[:, horizons + span] - whole[:, horizons]
-    return body_rates(flown[:, horizons], turned / (span * period_s))
-
-
 def _integrated(rates: Array, attitude: Array, period_s: float) -> Array:
     """Angles (m, rows + 1, 3) of body rates over rows, from angles (m, 3) (eq. 3.11)."""
     turned = np.empty_like(rates)
@@ -581,9 +544,6 @@ def _integrated(rates: Array, attitude: Array, period_s: float) -> Array:
         mean = 0.5 * (rates[:, row - 1] + rates[:, row])
         turned[:, row] = turned[:, row - 1] + period_s * euler_rates(turned[:, row - 1], mean)
     return turned
-
-
-# From flights to ARX polynomials, with the thesis's tables and tests (7.3.7).
 
 
 STEPS_DRAWN = 4
@@ -609,20 +569,20 @@ def identify_arx(
 ) -> Identified:
     """One ARX polynomial per axis, angle (or rate) from u', with the table of all structures.
 
-    held: what no fit sees (none: ``division``). channel: ``attitude`` or ``gyro``. decimate:
-    rows of the recording per row of the model. orders: structures to choose from and to show
-    beside each other, instead of all.
+    held: what no fit sees (none: ``divided``). channel, decimate: as in ``arx_data``. orders:
+    structures to choose from and to show beside each other, instead of all.
     """
-    motors = rotor_motors(before)
-    fit_on, validate_on, apart = _parts(runs, held, before, vehicle, selection, decimate)
+    motors, configuration = rotor_motors(before), vehicle.configuration
+    fit_on, apart = stretches_of(runs, motors, selection=selection), ""
+    if held:
+        validate_on = stretches_of(held, motors, selection=selection)
+    else:
+        least_s = (LEAST_ROWS + LONGEST_ROWS) * decimate * fit_on[0].run.period_s
+        fit_on, validate_on, apart = divided(fit_on, configuration, max(least_s, LEAST_S))
 
     def rows_of(part: Sequence[Stretch], axis: str) -> list[ArxData]:
-        runs = [one.run[one.rows] for one in part]
-        plus_or_x = vehicle.configuration
-        return [
-            arx_data(run, axis, motors, plus_or_x, channel=channel, decimate=decimate)
-            for run in runs
-        ]
+        how: dict[str, Any] = {"channel": channel, "decimate": decimate}
+        return [arx_data(one.run[one.rows], axis, motors, configuration, **how) for one in part]
 
     data = {axis: (rows_of(fit_on, axis), rows_of(validate_on, axis)) for axis in AXES}
     for one, other in data.values():
@@ -671,59 +631,50 @@ def _found(
     validate_on: Sequence[ArxData],
 ) -> _Found:
     """The search of one axis; what is shown of it has the chosen structure first."""
-    shown = _require_shown(axis, fit_on)
-    search = search_arx(fit_on, validate_on, criterion=criterion, among=orders)
-    chosen, beside = search.chosen, _beside(search, orders)
-    estimates = arx_estimates(chosen.axis, fit_on)
-    rows = sum(len(part.outputs) for part in fit_on)
-    tests = [_tested(axis, channel, c, validate_on[0], rows) for c in beside]
-    report = {
-        "chosen": chosen.label,
-        "input_shows_f": shown,
-        "estimates": estimates.as_dict(),
-        **_judged(search, fit_on, validate_on, UNITS[channel][0]),
-        **tests[0].as_dict(),
-        **_named(beside, tests),
-    }
-    traces = [_trace(axis, channel, c.axis, validate_on[0]) for c in beside]
-    steps = _steps(axis, search, beside)
-    evidence = Evidence({f"{axis} {chosen.label}": estimates}, traces, tests, steps)
-    return _Found(chosen.axis, report, list(_warnings(axis, chosen, tests[0])), evidence)
-
-
-def _parts(
-    runs: Sequence[Run],
-    held: Sequence[Run],
-    before: Model,
-    vehicle: Vehicle,
-    selection: Selection,
-    decimate: int,
-) -> tuple[list[Stretch], list[Stretch], str]:
-    """What is fitted on, what no fit sees, and in words how the two were divided."""
-    motors = rotor_motors(before)
-    stretches = stretches_of(runs, motors, selection=selection)
-    if held:
-        return stretches, stretches_of(held, motors, selection=selection), ""
-    least_s = max((LEAST_ROWS + LONGEST_ROWS) * decimate * stretches[0].run.period_s, LEAST_S)
-    return divided(stretches, vehicle.configuration, least_s)
-
-
-def _warnings(axis: str, chosen: ArxCandidate, test: ResidualTest) -> Iterator[str]:
-    if not chosen.plausible:
-        yield f"{axis}: the step response of the chosen model is not plausible"
-    if not test.cross.passes:
-        yield f"{axis}: the residuals of the chosen model follow its input"
-
-
-def _require_shown(axis: str, data: Sequence[ArxData]) -> float:
-    shown = input_shows(data)
+    shown = input_shows(fit_on)
     if shown < LEAST_F:
-        names = ", ".join(sorted({one.name for one in data}))
+        names = ", ".join(sorted({one.name for one in fit_on}))
         raise BadInputError(
             f"{names}: torque does not show in {axis} (F = {shown:.1f}, at least {LEAST_F:.0f} is"
             " needed); excite that axis"
         )
-    return shown
+    search = search_arx(fit_on, validate_on, criterion=criterion, among=orders)
+    chosen, (unit, name) = search.chosen, UNITS[channel]
+    named = [one for one in search.candidates if one.order in orders and one is not chosen]
+    beside, data = [chosen, *named], validate_on[0]
+    estimates = arx_estimates(chosen.axis, fit_on)
+    tests, traces, rows_fitted = [], [], sum(len(part.outputs) for part in fit_on)
+    for one in beside:
+        left, title = residuals(one.axis, data), f"{axis} {name}, {one.label}"
+        inputs = data.inputs[-len(left) :]
+        tests.append(residual_test(title, left, f"{axis} u'", inputs, rows_fitted))
+        predicted, first = predictions(one.axis, data, max(1, round(AHEAD_S[1] / one.axis.ts)))
+        drawn = first + np.arange(len(data.outputs) - first)
+        drawn = drawn[liveliest(data.outputs[first:], data.period_s, DRAWN_S)]
+        time = np.asarray(data.period_s * drawn, np.float64)
+        turned, modelled = (180.0 / np.pi * rows[drawn] for rows in (data.outputs, predicted))
+        note = f"predicted {1e3 * AHEAD_S[1]:.0f} ms ahead by {one.label}"
+        degrees = unit.replace("rad", "deg")
+        traces.append(Trace(f"{axis} {name}", degrees, time, turned, modelled, note))
+    others = {one.label: test.as_dict() for one, test in zip(named, tests[1:], strict=True)}
+    report = {
+        "chosen": chosen.label,
+        "input_shows_f": shown,
+        "estimates": estimates.as_dict(),
+        **_ahead("identification", chosen.axis, fit_on, unit),
+        **_ahead("validation", chosen.axis, validate_on, unit),
+        "table": _table(search, fit_on, validate_on, unit),
+        **tests[0].as_dict(),
+        **({"beside": others} if others else {}),
+    }
+    warnings = []
+    if not chosen.plausible:
+        warnings.append(f"{axis}: the step response of the chosen model is not plausible")
+    if not tests[0].cross.passes:
+        warnings.append(f"{axis}: the residuals of the chosen model follow its input")
+    steps = _steps(axis, search, beside)
+    evidence = Evidence({f"{axis} {chosen.label}": estimates}, traces, tests, steps)
+    return _Found(chosen.axis, report, warnings, evidence)
 
 
 def _ahead(part: str, axis: ArxAxis, data: Sequence[ArxData], unit: str) -> dict[str, float]:
@@ -733,18 +684,6 @@ def _ahead(part: str, axis: ArxAxis, data: Sequence[ArxData], unit: str) -> dict
             axis, data, max(1, round(horizon / axis.ts))
         )
         for horizon in AHEAD_S
-    }
-
-
-def _judged(
-    search: ArxSearch, one: Sequence[ArxData], other: Sequence[ArxData], unit: str
-) -> dict[str, Any]:
-    """How well the chosen structure predicts either part, and the table of all."""
-    chosen = search.chosen.axis
-    return {
-        **_ahead("identification", chosen, one, unit),
-        **_ahead("validation", chosen, other, unit),
-        "table": _table(search, one, other, unit),
     }
 
 
@@ -767,63 +706,11 @@ def _table(
     ]
 
 
-def _trace(axis: str, channel: str, chosen: ArxAxis, data: ArxData) -> Trace:
-    ahead = max(1, round(AHEAD_S[1] / chosen.ts))
-    modelled, first = predictions(chosen, data, ahead)
-    measured = data.outputs[first:]
-    rows = liveliest(measured, data.period_s, DRAWN_S)
-    scale = 180.0 / np.pi
-    unit, name = ("deg", "angle") if channel == "attitude" else ("deg/s", "rate")
-    return Trace(
-        f"{axis} {name}",
-        unit,
-        np.asarray(data.period_s * (first + np.arange(len(measured)))[rows], np.float64),
-        scale * measured[rows],
-        scale * modelled[first:][rows],
-        f"predicted {1e3 * AHEAD_S[1]:.0f} ms ahead by {_label(chosen)}",
-    )
-
-
-def _beside(search: ArxSearch, orders: Sequence[Order]) -> list[ArxCandidate]:
-    """What is shown beside each other: the chosen structure, then the others that were named."""
-    named = [one for one in search.candidates if one.order in orders and one is not search.chosen]
-    return [search.chosen, *named]
-
-
-def _tested(
-    axis: str, channel: str, candidate: ArxCandidate, data: ArxData, fitted_rows: int
-) -> ResidualTest:
-    left = residuals(candidate.axis, data)
-    return residual_test(
-        f"{axis} {UNITS[channel][1]}, {candidate.label}",
-        left,
-        f"{axis} u'",
-        data.inputs[-len(left) :],
-        fitted_rows,
-    )
-
-
-def _named(beside: Sequence[ArxCandidate], tests: Sequence[ResidualTest]) -> dict[str, Any]:
-    """Residuals of the structures that were named beside the chosen one, by label."""
-    others = zip(beside[1:], tests[1:], strict=True)
-    return {"beside": {one.label: test.as_dict() for one, test in others}} if beside[1:] else {}
-
-
 def _steps(axis: str, search: ArxSearch, beside: Sequence[ArxCandidate]) -> list[Step]:
     """Step responses of the structures that are shown, of the best by validation where only one
     is."""
     best = [one for one in search.candidates[:STEPS_DRAWN] if one is not search.chosen]
     return [
-        Step(
-            axis,
-            one.label,
-            *step_response(one.axis),
-            plausible=one.plausible,
-            chosen=one is search.chosen,
-        )
+        Step(axis, one.label, *step_response(one.axis), one.plausible, one is search.chosen)
         for one in (beside if beside[1:] else (search.chosen, *best))
     ]
-
-
-def _label(axis: ArxAxis) -> str:
-    return f"ARX({axis.na},{axis.nb},{axis.nk})"

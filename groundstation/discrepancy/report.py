@@ -1,9 +1,13 @@
-"""A search told: in words, in figures and as one HTML page."""
+"""A search told: in words, in figures and as one HTML page.
+
+Sentences that belong to one thing stand with it: why a name was refused in ``acceptance.py`` and
+``proof.py``, what an effect is in ``dynamics/meanings.py``, warnings in ``engine.py``, what was
+not looked for in ``report_json.py``."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
@@ -19,17 +23,16 @@ from groundstation.comparison.comparison import (
     spectrum_of,
     worst_stretch,
 )
-from groundstation.comparison.gap import CHANNELS, HORIZONS_S, PER_SI, UNITS
+from groundstation.comparison.gap import CHANNELS, HORIZONS_S, PER_SI, UNITS, WHOLE
 from groundstation.discrepancy.engine import Discrepancy
-from groundstation.discrepancy.proof import LEFT, FoundEffect, NotShown, Proof
+from groundstation.discrepancy.proof import LEFT, EffectFound, Leftover, NotShown, Proof
 from groundstation.discrepancy.report_json import (
     CompareReport,
     DiscrepancyReport,
-    EffectFound,
     Gap,
     why_lost,
 )
-from groundstation.dynamics.meanings import physics_of, title_of
+from groundstation.dynamics.meanings import FOUND, physics_of, title_of
 from groundstation.dynamics.model import Estimate
 from groundstation.report.page import (
     GOOD,
@@ -56,12 +59,14 @@ from groundstation.text import listed
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from groundstation.discrepancy.report_json import CandidateTried
+    from groundstation.discrepancy.proof import Candidate
 
 # What a discrepancy report begins with, in plain words: what was found, how sure it is, what to do
 # next, and one flight that would show the rest.
 
 
+CLEAR, PLACES = 3.0, 8
+"""Standard deviations of noise energy from which a place is worth naming; so many are in lines."""
 SURE = 1.96
 """Standard errors either way that hold 95 % of estimates."""
 LARGE_LEFT = 0.3
@@ -76,6 +81,17 @@ DOUBTS = {
 """Of what is possible, by the reason why it is not named."""
 
 
+def titled(effect: str) -> str:
+    """An effect as people call it; of one that may be of several rotors also which."""
+    name, _, rotor = effect.partition(".")
+    return title_of(name) + (f" ({rotor})" if rotor else "")
+
+
+def label(channel: str) -> str:
+    """A channel as people read it."""
+    return channel.replace("_", " ")
+
+
 def by_weight(effects: Sequence[EffectFound]) -> list[EffectFound]:
     """What explains most first; those of which that is not known last, as they were added."""
     return sorted(effects, key=lambda one: -(one.weight if one.weight is not None else -1.0))
@@ -86,7 +102,7 @@ def is_zero(estimate: Estimate) -> bool:
     return estimate.stderr is not None and abs(estimate.value) < SURE * estimate.stderr
 
 
-def meaning(effect: EffectFound | FoundEffect) -> str:
+def meaning(effect: EffectFound) -> str:
     """What it does to the craft, with the size that was found."""
     values = {name: one.value for name, one in effect.parameters.items()}
     return physics_of(effect.name, values) or effect.adds
@@ -97,9 +113,8 @@ def chosen_in_words(share: float) -> str:
     return f"chosen in {100.0 * share:.0f} % of resamples"
 
 
-def possible_in_words(report: DiscrepancyReport) -> list[str]:
+def possible_in_words(report: DiscrepancyReport) -> Iterator[str]:
     """Effects that are fitted along and not named, a line each."""
-    lines = []
     for one in report.possible:
         others = [
             f"{title_of(other.name)} in {100.0 * other.share:.0f} %"
@@ -108,23 +123,22 @@ def possible_in_words(report: DiscrepancyReport) -> list[str]:
         ]
         instead = f", in its place {listed(others)}" if others else ""
         why = DOUBTS.get(one.reason, chosen_in_words(one.recurrence))
-        lines.append(
+        yield (
             f"possible: {title_of(one.name)}, {why}{instead}; fitted along, its part is counted"
             " with the changed constants"
         )
-    return lines
 
 
 def found_in_words(report: DiscrepancyReport) -> str:
     """What was found and how sure that is: the first line."""
     level = report.gap.validation
-    gap = f"prediction errors are {level.before:.1f} times noise"
-    if report.verdict == "effects_found":
+    gap = f"prediction errors are {level.before:.2f} times noise"
+    if report.verdict in FOUND:
         effects = by_weight(report.effects)
         names = [f"{title_of(one.name)} ({meaning(one)})" for one in effects[:2]]
         rest = [title_of(one.name) for one in effects[2:]]
-        first = f"Missing in the model: {listed([*names, *rest])}."
-        return f"{first} {_how_sure(report)}"
+        part = ", and more than that" if report.verdict == "found_in_part" else ""
+        return f"Missing in the model{part}: {listed([*names, *rest])}. {_how_sure(report)}"
     if report.verdict == "unexplained" and report.possible:
         maybe = listed([title_of(one.name) for one in report.possible])
         return f"Something acts on the craft, and no name is sure: {gap}; possible: {maybe}."
@@ -136,16 +150,20 @@ def found_in_words(report: DiscrepancyReport) -> str:
     moved = [change.name for change in report.base_changes]
     if moved:
         return f"No effect is missing, but {listed(moved)} had to change. {_how_sure(report)}"
-    return f"Nothing is missing that these recordings could show: {gap}."
+    within = f", within the {LEFT:g} that noise levels are known to" if level.before <= LEFT else ""
+    return (
+        "Nothing is missing that these recordings could show. Checked"
+        f" {_checked_on(report)}: {gap}{within}."
+    )
+
+
+def _checked_on(report: DiscrepancyReport) -> str:
+    whole = isinstance(report.validation, list)
+    return f"on {'' if whole else 'the parts of these '}recordings that no fit has seen"
 
 
 def _how_sure(report: DiscrepancyReport) -> str:
     level, what = report.gap.validation, report.explained
-    held = (
-        "on recordings that no fit has seen"
-        if isinstance(report.validation, list)
-        else "on the parts of these recordings that no fit has seen"
-    )
     if level.after is None:
         return ""
     change = f"prediction errors fall from {level.before:.2f} to {level.after:.2f} times noise"
@@ -158,7 +176,7 @@ def _how_sure(report: DiscrepancyReport) -> str:
     if what is not None:
         percent = 100.0 * (what.named + what.constants)
         share = f", and what was found explains {percent:.0f} % of what was wrong"
-    return f"Checked {held}: {change}{share}."
+    return f"Checked {_checked_on(report)}: {change}{share}."
 
 
 def next_in_words(report: DiscrepancyReport, written: bool = False) -> str:
@@ -213,46 +231,40 @@ def advice_of(report: DiscrepancyReport) -> list[Advice]:
     level, what = report.gap.validation, report.explained
     plan = flight_plan(report.not_shown)
     fly = f"Fly the plan below: {plan[0][0]}" if plan else "Fly longer, and other manoeuvres"
+
+    def advise(what: str, why: str, do: str) -> None:
+        found.append(Advice(what[:1].upper() + what[1:], why, do))
+
     if report.gap.worse:
-        names = listed([one.replace("_", " ") for one in report.gap.worse])
-        found.append(
-            Advice(
-                f"The improved model predicts {names} worse than the given one",
-                "What was found may stand for something else there",
-                "Search with one more recording of another kind",
-            )
+        names = listed([label(one) for one in report.gap.worse])
+        advise(
+            f"The improved model predicts {names} worse than the given one",
+            "What was found may stand for something else there",
+            "Search with one more recording of another kind",
         )
-    large = what is not None and what.left > LARGE_LEFT and level.after is not None
-    if large and what is not None and level.after is not None and level.after > LEFT:
-        most = report.left[0] if report.left else None
-        where = f", most of it in {most.channel.replace('_', ' ')}" if most else ""
-        found.append(
-            Advice(
-                f"{100.0 * what.left:.0f} % of what was wrong is still unexplained{where}",
-                "Simulations err by as much beyond noise",
-                fly,
-            )
+    beyond = level.after is not None and level.after > LEFT
+    if what is not None and what.left > LARGE_LEFT and beyond:
+        where = f", most of it in {label(report.left[0].channel)}" if report.left else ""
+        advise(
+            f"{100.0 * what.left:.0f} % of what was wrong is still unexplained{where}",
+            "Simulations err by as much beyond noise",
+            fly,
         )
     if what is not None and what.disturbance > LARGE_LEFT:
-        found.append(
-            Advice(
-                f"{100.0 * what.disturbance:.0f} % of what was wrong are slow forces and moments"
-                " without a name",
-                "They are followed, not predicted: a simulation does not have them",
-                "Fly in still air, away from walls, with a fresh battery",
-            )
+        advise(
+            f"{100.0 * what.disturbance:.0f} % of what was wrong are slow forces and moments"
+            " without a name",
+            "They are followed, not predicted: a simulation does not have them",
+            "Fly in still air, away from walls, with a fresh battery",
         )
     for effect in report.effects:
-        if effect.alternatives:
-            other = effect.alternatives[0]
-            found.append(
-                Advice(
-                    f"{title_of(effect.name)} could also be {title_of(other.name)}",
-                    "These recordings do not tell the two apart",
-                    f"Fly {other.manoeuvre}",
-                )
+        for other in effect.alternatives[:1]:
+            advise(
+                f"{title_of(effect.name)} could also be {title_of(other.name)}",
+                "These recordings do not tell the two apart",
+                f"Fly {other.manoeuvre}",
             )
-    return [_capital(one) for one in found]
+    return found
 
 
 PLAN = (
@@ -277,26 +289,128 @@ def flight_plan(not_shown: Sequence[NotShown]) -> list[tuple[str, list[str]]]:
             names = parts.setdefault(part, [])
             if one.name not in names:
                 names.append(one.name)
-    seen: dict[str, list[str]] = {part: n for part, n in parts.items() if part != "nothing special"}
-    return sorted(seen.items(), key=lambda step: -len(step[1]))
+    parts.pop("nothing special", None)
+    return sorted(parts.items(), key=lambda step: -len(step[1]))
 
 
 def _still_off(report: DiscrepancyReport) -> list[str]:
     """The two channels that the improved model predicts worst, where noise does not explain it."""
-    after = {
-        name.replace("_", " "): channel.after
-        for name, channel in report.gap.channels.items()
-        if channel.after is not None and channel.after > FAR
-    }
-    return sorted(after, key=lambda name: -after[name])[:2]
-
-
-def _capital(one: Advice) -> Advice:
-    return one._replace(what=one.what[:1].upper() + one.what[1:])
+    after = {label(name): one.after or 0.0 for name, one in report.gap.channels.items()}
+    far = [name for name, gap in after.items() if gap > FAR]
+    return sorted(far, key=lambda name: -after[name])[:2]
 
 
 def _in_regime(channel: str, regime: str) -> str:
-    return f"{channel.replace('_', ' ')} ({regime})"
+    return f"{label(channel)} ({regime})"
+
+
+# The reports as lines for a terminal.
+
+
+def compared_in_lines(report: CompareReport) -> Iterator[str]:
+    """What the model is good for, the gap of each channel, and where it is wrong."""
+    yield from _good_for(report)
+    yield from _gap_in_lines(report.gap)
+    yield from _places_in_lines(report.where)
+
+
+def found_in_short(report: DiscrepancyReport) -> list[str]:
+    """The verdict, the constants that changed and the effects: a line each."""
+    count = len(report.effects)
+    verdict = report.verdict.replace("_", " ")
+    if report.verdict in FOUND:
+        verdict = f"{count} effect{'s' if count != 1 else ''} found"
+    if report.verdict == "found_in_part":
+        verdict += f", and errors are still {report.gap.validation.after:.2f} times noise"
+    effects = enumerate(by_weight(report.effects), 1)
+    return [
+        verdict,
+        *(f"changed: {change.words}" for change in report.base_changes),
+        *(f"{number}. {effect.name}: {meaning(effect)}" for number, effect in effects),
+    ]
+
+
+def found_in_lines(report: DiscrepancyReport, written: bool) -> Iterator[str]:
+    """The outcome of a search. written: whether the improved model is in a file."""
+    verdict, *found = found_in_short(report)
+    changed, effects = found[: len(report.base_changes)], found[len(report.base_changes) :]
+    yield verdict
+    yield found_in_words(report)
+    yield f"next: {next_in_words(report, written)}"
+    yield from _good_for(report)
+    if report.explained is not None:
+        yield report.explained.words(report.disturbance)
+    yield from changed
+    for line, effect in zip(effects, by_weight(report.effects), strict=True):
+        yield line
+        yield from _numbers_in_lines(effect)
+    yield from possible_in_words(report)
+    for small in report.candidates:
+        if small.refused_by == "negligible":
+            yield f"{small.name}: {small.reason}"
+    left = report.residual_detail
+    if report.residual == "structured":
+        yield f"left over: structure in {left.channel}{_what_is_there(left, 'like')}"
+    for one in report.left:
+        yield f"left in {one.words}"
+    yield from _gap_in_lines(report.gap)
+    yield from _places_in_lines(report.where)
+    if report.not_shown:
+        yield "these recordings cannot show the rest; one flight with these parts would:"
+        for number, (fly, names) in enumerate(flight_plan(report.not_shown), 1):
+            yield f"  {number}. {fly}: {', '.join(names)}"
+    for reason in dict.fromkeys(report.lost.values()):
+        lost = ", ".join(name for name, why in report.lost.items() if why == reason)
+        yield f"not looked for ({why_lost(reason)}): {lost}"
+    for line in report.warnings:
+        yield f"warning: {line}"
+
+
+def _numbers_in_lines(effect: EffectFound) -> Iterator[str]:
+    for name, estimate in effect.parameters.items():
+        spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
+        zero = ", not distinguishable from zero" if is_zero(estimate) else ""
+        yield f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip() + zero
+    again = "" if effect.recurrence is None else f", {chosen_in_words(effect.recurrence)}"
+    yield f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}{again}"
+    for other in effect.alternatives:
+        yield f"     could also be {other.name}; to tell: {other.manoeuvre}"
+
+
+def _good_for(report: CompareReport | DiscrepancyReport) -> Iterator[str]:
+    """What the model is good for, where a fit of it is known."""
+    if report.good_for:
+        yield f"the model: {report.good_for[:1].lower()}{report.good_for[1:]}"
+
+
+def _what_is_there(left: Leftover, like: str) -> str:
+    hertz = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)
+    return (f" at {hertz} Hz" if hertz else "") + (f", {like} {left.signal}" if left.signal else "")
+
+
+def _gap_in_lines(gap: Gap) -> Iterator[str]:
+    level = gap.validation
+    after = "" if level.after is None else f", after {level.after:.2f}"
+    yield f"gap over all channels: {level.before:.2f}{after} (1.00: noise alone)"
+    head = "before" if level.after is not None else "gap"
+    yield f"  {'channel':<16}{head:>8}{'' if level.after is None else '   after'}   error"
+    for name, channel in gap.channels.items():
+        own = channel.own_unit
+        later = "" if channel.after is None else f"{channel.after:8.2f}"
+        error = own.before if own.after is None else own.after
+        yield (
+            f"  {name:<16}{channel.before:8.2f}{later}   {error:.3g} {own.unit},"
+            f" noise {own.noise_floor:.3g}"
+        )
+
+
+def _places_in_lines(rows: Sequence[Place]) -> Iterator[str]:
+    """The places that are clearly worse than noise."""
+    clear = [row for row in rows if row.significance >= CLEAR][:PLACES]
+    yield "worst, most significant first:" if clear else "nowhere clearly worse than noise"
+    for row in clear:
+        where = f"  {row.channel:<16}{row.regime:<28}{row.rms:9.3g} {row.unit}"
+        yield f"{where}, noise {row.expected_rms:.3g}"
 
 
 # Figures of the comparison and discrepancy reports.
@@ -308,20 +422,10 @@ WORTH_A_NUMBER = 1.1
 MOST_BARS = 23
 
 
-def titled(effect: str) -> str:
-    """An effect as people call it; of one that may be of several rotors also which."""
-    name, _, rotor = effect.partition(".")
-    return title_of(name) + (f" ({rotor})" if rotor else "")
-
-
-def label(channel: str) -> str:
-    """A channel as people read it."""
-    return channel.replace("_", " ")
-
-
 def where_map(titled: Sequence[tuple[str, Sequence[Place]]]) -> Figure:
     """Channel by regime: prediction error over noise. One map, or before and after."""
-    regimes = list(dict.fromkeys(p.regime for _, places in titled for p in _in_order(places)))
+    ordered = (sorted(places, key=lambda place: place.regime != WHOLE) for _, places in titled)
+    regimes = list(dict.fromkeys(place.regime for places in ordered for place in places))
     made, axes = figure(9.6, 3.9 * len(titled) + 0.9, rows=len(titled), sharex=True)
     for axis, (title, places) in zip(axes, titled, strict=True):
         ratio = np.full((len(CHANNELS), len(regimes)), np.nan)
@@ -329,7 +433,7 @@ def where_map(titled: Sequence[tuple[str, Sequence[Place]]]) -> Figure:
             if place.expected_rms > 0 and place.regime in regimes:
                 row, column = CHANNELS.index(place.channel), regimes.index(place.regime)
                 ratio[row, column] = place.rms / place.expected_rms
-        image = _heat(axis, ratio)
+        _heat(made, axis, ratio)
         for row, column in np.argwhere(np.isfinite(ratio)):
             value = ratio[row, column]
             if column > 0 and value < WORTH_A_NUMBER:
@@ -346,7 +450,6 @@ def where_map(titled: Sequence[tuple[str, Sequence[Place]]]) -> Figure:
             )
         axis.set_yticks(range(len(CHANNELS)), [label(c) for c in CHANNELS])
         axis.set_title(title)
-        made.colorbar(image, ax=axis, pad=0.01, label="error over noise", ticks=TICKS, format="%g")
     axes[-1].set_xticks(range(len(regimes)), regimes, rotation=35, ha="right")
     return made
 
@@ -358,10 +461,9 @@ def time_map(comparison: Comparison, number: int = 0) -> Figure:
     made, (axis,) = figure(9.6, 2.9)
     time = time - errors.run.recording_start_s
     edges = (time[0] - 0.5, time[-1] + 0.5, len(CHANNELS) - 0.5, -0.5)
-    image = _heat(axis, ratio.T, extent=edges)
+    _heat(made, axis, ratio.T, extent=edges)
     axis.set_yticks(range(len(CHANNELS)), [label(c) for c in CHANNELS])
     axis.set_xlabel(f"time in {errors.run.name}, s")
-    made.colorbar(image, ax=axis, pad=0.01, label="error over noise", ticks=TICKS, format="%g")
     return made
 
 
@@ -411,10 +513,9 @@ def worst_overlay(stretch: Stretch, before: Comparison, after: Comparison | None
         error = one.errors[stretch.run].horizons[-1][rows, channel] * unit
         known = np.isfinite(error)
         part = (time[known], (measured - error)[known])
-        if channel in (3, 4, 5):
-            axes[0].plot(*part, ".", markersize=1.6, color=color, label=f"{name}, 50 ms ahead")
-        else:
-            axes[0].plot(*part, color=color, linewidth=1.0, label=f"{name}, 50 ms ahead")
+        dots = {"linestyle": "", "marker": ".", "markersize": 1.6}
+        style: dict[str, Any] = dots if channel in (3, 4, 5) else {"linewidth": 1.0}
+        axes[0].plot(*part, color=color, label=f"{name}, 50 ms ahead", **style)
         axes[1].plot(time[known], error[known], color=color, linewidth=1.0)
     noise = before.at_horizon(len(HORIZONS_S) - 1)[1][channel] * unit
     axes[1].axhspan(-2 * noise, 2 * noise, color=NEUTRAL, alpha=0.2, linewidth=0)
@@ -443,7 +544,7 @@ def residual_spectrum(before: Spectrum, after: Spectrum | None = None) -> Figure
     return made
 
 
-def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
+def evidence_bars(candidates: Sequence[Candidate]) -> Figure:
     """How strongly the recordings speak for each effect before any was added."""
     shown = sorted(candidates, key=lambda c: c.score, reverse=True)[:MOST_BARS]
     made, (axis,) = figure(9.6, 0.9 + 0.24 * max(len(shown), 3))
@@ -453,11 +554,8 @@ def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
     axis.barh(place, score, color=colors, height=0.7, left=0.1)
     axis.set_xscale("log")
     axis.set_yticks(place, [titled(c.name) for c in shown])
-    notes = {
-        one.name: shorten(one.reason or "accepted", NOTE_MOST, placeholder=" …") for one in shown
-    }
-    for y, one, size in zip(place, shown, score, strict=True):
-        note = notes[one.name]
+    notes = [shorten(one.reason or "accepted", NOTE_MOST, placeholder=" …") for one in shown]
+    for y, one, size, note in zip(place, shown, score, notes, strict=True):
         axis.annotate(
             note,
             (size + 0.1, float(y)),
@@ -469,7 +567,7 @@ def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
             weight="bold" if one.accepted else "normal",
         )
     # As many decades as leave room for every note.
-    room = [0.98 - NOTE_CHARACTER * len(notes[one.name]) for one in shown]
+    room = [0.98 - NOTE_CHARACTER * len(note) for note in notes]
     decades = np.log10(score / 0.1 + 1.0) / np.maximum(room, 0.2)
     axis.set_xlim(0.1, 0.1 * 10 ** max(3.0, float(decades.max(initial=3.0))))
     axis.invert_yaxis()
@@ -486,13 +584,8 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
     axis.barh(0, values[0], color=MODELLED, height=0.6)
     for k in range(1, len(steps)):
         low, high = sorted((values[k - 1], values[k]))
-        axis.barh(
-            k,
-            high - low,
-            left=low,
-            color=GOOD if values[k] <= values[k - 1] else MODELLED,
-            height=0.6,
-        )
+        color = GOOD if values[k] <= values[k - 1] else MODELLED
+        axis.barh(k, high - low, left=low, color=color, height=0.6)
         axis.vlines(values[k - 1], k - 1.3, k + 0.3, color=NEUTRAL, linewidth=0.8)
     last = len(steps)
     axis.barh(last, values[-1], color=IMPROVED, height=0.6)
@@ -526,7 +619,8 @@ NOTE_CHARACTER = 0.0068
 TICKS = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 
-def _heat(axis: Any, ratio: Array, **more: Any) -> Any:
+def _heat(made: Figure, axis: Any, ratio: Array, **more: Any) -> None:
+    """A map of error over noise with its colour bar."""
     from matplotlib.colors import LogNorm
 
     image = axis.imshow(
@@ -539,7 +633,7 @@ def _heat(axis: Any, ratio: Array, **more: Any) -> Any:
     )
     axis.grid(visible=False)
     axis.set_facecolor(MISSING)
-    return image
+    made.colorbar(image, ax=axis, pad=0.01, label="error over noise", ticks=TICKS, format="%g")
 
 
 def _plain_ticks(axis: Any, most: float) -> None:
@@ -553,16 +647,9 @@ def _plain_ticks(axis: Any, most: float) -> None:
     axis.set_major_formatter(FormatStrFormatter("%g"))
 
 
-def _in_order(places: Sequence[Place]) -> list[Place]:
-    """The whole flight first, then regimes from the worst on."""
-    return sorted(places, key=lambda place: place.regime != "whole flight")
-
-
 # The comparison and discrepancy reports as pages.
 
 
-CLEAR = 3.0
-"""Standard deviations of noise energy from which a place is worth naming."""
 SPECTRA = 3
 MAP_TEXT = (
     "Prediction errors 20 and 50 ms ahead over what noise alone leaves of them in the same rows;"
@@ -586,7 +673,8 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
     worst = _worst(report.where)
     page.verdict(compared_in_words(report, worst), "good" if worst is None else "bad")
     page.next_step(compared_next(report, worst))
-    _good_for(page, report.good_for)
+    for line in _good_for(report):
+        page.text(f"What {line.replace(':', ' is good for:', 1)}.")
     page.advice([], list(found.warnings.values()))
     _channels(page, report.gap)
     page.heading("Where")
@@ -613,7 +701,12 @@ def discrepancy_page(proof: Proof, report: DiscrepancyReport) -> Page:
         page.text(f"On proof samples, {report.explained.words(report.disturbance)}.")
     for change in report.base_changes:
         page.text(f"The given model's constants moved: {change.words}.")
-    _effects(page, report)
+    if report.effects:
+        _named(page, report)
+    else:
+        page.text("No effect passed every test.")
+    for line in possible_in_words(report):
+        page.text(f"{line[:1].upper()}{line[1:]}.")
     page.heading("The gap closes")
     page.figure(
         waterfall(proof.steps),
@@ -667,58 +760,35 @@ def _verdict(page: Page, report: DiscrepancyReport) -> None:
     level = report.gap.validation
     grew = level.after is not None and level.after > level.before
     clean = report.residual == "white" and not grew
-    kind = {"effects_found": "good" if clean else "neutral", "unexplained": "bad"}
+    found = "good" if clean else "neutral"
+    kind = {"effects_found": found, "found_in_part": "neutral", "unexplained": "bad"}
     page.verdict(found_in_words(report), kind.get(report.verdict, "good"))
     page.next_step(next_in_words(report))
-    _good_for(page, report.good_for)
+    for line in _good_for(report):
+        page.text(f"What {line.replace(':', ' is good for:', 1)}.")
     notes = list(report.warnings)
     if report.residual == "structured":
         left = report.residual_detail
-        hertz = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)
-        notes.append(
-            f"What is left is not noise: structure in {label(left.channel)}"
-            + (f" at {hertz} Hz" if hertz else "")
-            + (f", most like {left.signal}" if left.signal else "")
-        )
+        where = f"{label(left.channel)}{_what_is_there(left, 'most like')}"
+        notes.append(f"What is left is not noise: structure in {where}")
     page.advice(advice_of(report), notes)
 
 
-def _good_for(page: Page, verdict: str) -> None:
-    if verdict:
-        page.text(f"What the model is good for: {verdict[:1].lower()}{verdict[1:]}.")
-
-
-def _effects(page: Page, report: DiscrepancyReport) -> None:
-    if report.effects:
-        _named(page, report)
-    else:
-        page.text("No effect passed every test.")
-    for line in possible_in_words(report):
-        page.text(f"{line[:1].upper()}{line[1:]}.")
-
-
 def _named(page: Page, report: DiscrepancyReport) -> None:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for effect in by_weight(report.effects):
-        for number, (name, estimate) in enumerate(effect.parameters.items()):
-            first = number == 0
+        share, again = (
+            "" if part is None else f"{100.0 * part:.0f} %"
+            for part in (effect.weight, effect.recurrence)
+        )
+        head = title_of(effect.name), meaning(effect), share, again
+        tail = f"{effect.gap.before:.3f} → {effect.gap.after:.3f}", effect.name
+        for name, estimate in effect.parameters.items():
             spread = "" if estimate.stderr is None else f" ± {SURE * estimate.stderr:.2g}"
             zero = ", not distinguishable from zero" if is_zero(estimate) else ""
-            share, again = (
-                "" if part is None else f"{100.0 * part:.0f} %"
-                for part in (effect.weight, effect.recurrence)
-            )
-            rows.append(
-                (
-                    title_of(effect.name) if first else "",
-                    meaning(effect) if first else "",
-                    share if first else "",
-                    again if first else "",
-                    f"{name} = {estimate.value:.4g}{spread} {estimate.unit}".strip() + zero,
-                    f"{effect.gap.before:.3f} → {effect.gap.after:.3f}" if first else "",
-                    effect.name if first else "",
-                )
-            )
+            size = f"{name} = {estimate.value:.4g}{spread} {estimate.unit}".strip() + zero
+            rows.append((*head, size, *tail))
+            head, tail = ("",) * 4, ("",) * 2
     page.table(
         ["effect", "what it does", "explains", "recurs", "parameter, 95 % interval", "gap", "name"],
         rows,
@@ -754,11 +824,9 @@ def _channels(page: Page, gap: Gap) -> None:
     rows: list[tuple[str | float | None, ...]] = []
     for name, channel in gap.channels.items():
         own = channel.own_unit
-        row: tuple[str | float | None, ...] = (label(name), channel.before)
-        row += (channel.after,) if after else ()
-        row += (own.before,)
-        row += (own.after,) if after else ()
-        rows.append((*row, own.noise_floor, own.unit))
+        ratios = [channel.before, channel.after] if after else [channel.before]
+        errors = [own.before, own.after] if after else [own.before]
+        rows.append((label(name), *ratios, *errors, own.noise_floor, own.unit))
     ratio = ["gap before", "gap after"] if after else ["gap"]
     error = ["error before", "error after"] if after else ["error"]
     page.table(
@@ -780,11 +848,8 @@ def _closer(page: Page, before: Comparison, after: Comparison | None, worst: Pla
             worst_overlay(stretch, before, after),
             "The stretch in which the model is wrong most; grey: 95 % of noise.",
         )
-    seen: list[str] = []
-    for place in before.places:
-        if place.significance >= CLEAR and place.channel not in seen:
-            seen.append(place.channel)
-    for channel in seen[:SPECTRA]:
+    clear = (place.channel for place in before.places if place.significance >= CLEAR)
+    for channel in [*dict.fromkeys(clear)][:SPECTRA]:
         first = spectrum_of(before.errors, before.floors, channel)
         second = None if after is None else spectrum_of(after.errors, before.floors, channel)
         if first is not None:
@@ -825,11 +890,6 @@ def _worst(rows: list[Place]) -> Place | None:
     return rows[0] if rows and rows[0].significance >= CLEAR else None
 
 
-def _place(row: Place) -> str:
-    ratio = row.rms / row.expected_rms
-    return f"{label(row.channel)}, {row.regime} ({ratio:.1f} times the noise)"
-
-
 # Comparisons and searches as the Python API shows them.
 
 
@@ -856,12 +916,10 @@ def discrepancy(one: Discrepancy) -> Shown:
         for name in ("effect", "title", "does", "parameter", "value", "stderr", "unit", "weight")
     }
     for effect in one.findings.effects:
-        does = meaning(effect)
+        does, share = meaning(effect), np.nan if effect.weight is None else effect.weight
         for name, each in effect.parameters.items():
             row = (effect.name, title_of(effect.name), does, name, each.value, each.stderr)
-            for column, cell in zip(
-                columns.values(), (*row, each.unit, float(effect.weight)), strict=True
-            ):
+            for column, cell in zip(columns.values(), (*row, each.unit, share), strict=True):
                 column.append(cell)
     maps = [("before", proof.before.places), ("after", proof.after.places)]
     pictures = {

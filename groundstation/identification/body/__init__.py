@@ -1,1 +1,0 @@
-"""Body constants and effects from flights in closed loop (thesis 7.3.6). Pure."""
