@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, settings
 from groundstation.allocator import keep_freed
 from support.programs import run_program, start_guard
 
-pytest_plugins = ["support.ci_limits", "support.parts"]
+pytest_plugins = ["support.suite"]
 # Byte code is kept: without it every worker reads and rewrites all test files anew, for minutes.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

@@ -15,8 +15,8 @@ from mcap.writer import MCAP0_MAGIC
 from groundstation.links.base import LinkState
 from groundstation.links.replay import FAST, PIECE, ReplayLink
 from groundstation.recording import mcap_reader
+from groundstation.recording.mcap_file import McapRecorder
 from groundstation.recording.mcap_scan import McapScan
-from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.telemetry.packet import PACKET_BYTES
 from groundstation.telemetry.samples import RawBatch
 

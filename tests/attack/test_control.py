@@ -5,7 +5,7 @@ import pytest
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
-from support.stations import serve
+from support.worlds import serve
 
 pytestmark = pytest.mark.timeout(60)
 

@@ -9,8 +9,8 @@ import pytest
 
 from groundstation.cli.run import _require_something
 from groundstation.errors import BadInputError, GroundStationError, RecordingError
+from groundstation.recording.mcap_file import McapRecorder
 from groundstation.recording.mcap_scan import catalogue, recover
-from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.station import Station
@@ -18,7 +18,7 @@ from groundstation.telemetry.packet import TICK_S
 from groundstation.telemetry.samples import empty_samples
 from support import RECORDINGS
 from support.daemons import groundstation
-from support.stations import serve
+from support.worlds import serve
 
 pytestmark = pytest.mark.timeout(60)
 

@@ -9,7 +9,7 @@ import pytest
 
 import groundstation.cli as commands
 from groundstation.cli.control import events
-from groundstation.recording.mcap_writer import McapRecorder
+from groundstation.recording.mcap_file import McapRecorder
 from groundstation.report.page import figure, svg
 from groundstation.telemetry.packet import TICK_S
 from groundstation.telemetry.samples import empty_samples

@@ -175,19 +175,26 @@ def test_half_a_request_is_not_waited_for_for_ever(monkeypatch):
     assert asyncio.run(session()) == []
 
 
-def test_the_real_view_is_served_through_the_relay_alone(tmp_path):
+@contextlib.asynccontextmanager
+async def real_view(**options):
+    """The real server behind its relay: (viewer, its port, that of its page)."""
     from groundstation.viewer.child import free_port
     from groundstation.viewer.viewer import Viewer, ViewerMode
 
+    port, web_port = free_port("127.0.0.1"), free_port("127.0.0.1")
+    viewer = Viewer(ViewerMode.SERVE, port=port, web_port=web_port, **options)
+    await viewer.start()
+    try:
+        await eventually(lambda: viewer.status()["state"] == "serving", "the viewer")
+        yield viewer, port, web_port
+    finally:
+        await viewer.stop()
+
+
+def test_the_real_view_is_served_through_the_relay_alone():
     async def session():
-        port, web_port = free_port("127.0.0.1"), free_port("127.0.0.1")
-        viewer = Viewer(ViewerMode.SERVE, port=port, web_port=web_port)
-        await viewer.start()
-        try:
-            await eventually(lambda: viewer.status()["state"] == "serving", "the viewer")
+        async with real_view() as (_, port, web_port):
             return await asyncio.to_thread(look, port, web_port)
-        finally:
-            await viewer.stop()
 
     def status(port, origin, method="GET", path="/"):
         peer = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
@@ -250,32 +257,18 @@ def answered(peer, ended):
 
 def test_a_native_viewer_that_has_stopped_is_dropped_and_one_that_lives_is_not():
     """Through the real server: SIGSTOP, a hung connection, a laptop that was closed."""
-    from groundstation.viewer.child import free_port
-    from groundstation.viewer.viewer import Viewer, ViewerMode
-
     told, ended = [], threading.Event()
 
     async def session():
-        port, web_port = free_port("127.0.0.1"), free_port("127.0.0.1")
-        viewer = Viewer(
-            ViewerMode.SERVE, port=port, web_port=web_port,
-            on_event=lambda kind, text: told.append(text),
-        )  # fmt: skip
-        await viewer.start()
-        try:
-            await eventually(lambda: viewer.status()["state"] == "serving", "the viewer")
+        async with real_view(on_event=lambda kind, text: told.append(text)) as (viewer, port, _):
             with native(port) as stopped, native(port) as living:
                 reading = asyncio.create_task(asyncio.to_thread(answered, living, ended))
-                await eventually(
-                    lambda: any("dropped" in text for text in told), "a dropped viewer"
-                )
+                await eventually(lambda: any("dropped" in text for text in told), "a dropped one")
                 ended.set()
                 kinds = await reading
                 with pytest.raises(ConnectionResetError):
                     exactly(stopped, 1 << 30)
             return kinds, viewer.status()["restarts"]
-        finally:
-            await viewer.stop()
 
     kinds, restarts = asyncio.run(session())
     assert [text for text in told if "dropped" in text] == [

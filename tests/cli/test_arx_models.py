@@ -4,13 +4,12 @@ import json
 
 import msgspec
 import pytest
-from typer.testing import CliRunner
 
-from groundstation.cli.app import app
 from groundstation.dynamics.model import load_model, save_model
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.session import Recording
+from support.commands import run
 from support.flights import recorded
 
 
@@ -27,13 +26,6 @@ def files(tmp_path_factory):
     run(*rates, "-o", found["rates.json"])
     run(*rates, "--decimate", 4, "-o", found["four.json"])
     return found
-
-
-def run(*arguments):
-    """The command's output, both streams; what it raises, raised."""
-    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def document(text):

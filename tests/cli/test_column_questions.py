@@ -1,9 +1,5 @@
 """A column map made in the terminal: Enter takes the guess, a wrong answer is asked again."""
 
-import os
-import pty
-import signal
-
 import pytest
 from typer.testing import CliRunner
 
@@ -11,8 +7,7 @@ from groundstation.cli.app import app
 from groundstation.errors import BadInputError
 from groundstation.recording.formats import open_recording
 from groundstation.recording.map_document import load_column_map
-from support.daemons import COMMAND
-from support.waiting import until
+from support.commands import Terminal, done
 
 HEADER = "t_ms;wx;rollrate;az;theta;note\n"
 ROWS = [f"{2 * n};{60 * (-1) ** n};0.5;9.8;1.5;hover" for n in range(100)]
@@ -28,11 +23,7 @@ def log(tmp_path):
 def answer(log, *answers, more=()):
     """What is said where these lines are typed."""
     typed = "".join(f"{one}\n" for one in answers)
-    arguments = ["convert", str(log), *map(str, more), "--map"]
-    found = CliRunner().invoke(app, arguments, input=typed, catch_exceptions=True)
-    if found.exception is not None and not isinstance(found.exception, SystemExit):
-        raise found.exception
-    return found.output
+    return done("convert", log, *more, "--map", typed=typed).output
 
 
 def map_of(log):
@@ -108,64 +99,19 @@ def test_a_name_for_the_new_file_is_due_without_a_map(log):
     assert "OUT" in found.output
 
 
-class Terminal:
-    """``convert LOG --map`` on a pseudo-terminal."""
-
-    def __init__(self, log):
-        self.shown, self.status = "", None
-        self._pid, self._screen = pty.fork()
-        if self._pid == 0:
-            os.execv(COMMAND, [COMMAND, "convert", str(log), "--map"])
-        os.set_blocking(self._screen, False)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        if self.status is None:
-            os.kill(self._pid, signal.SIGKILL)
-            os.waitpid(self._pid, 0)
-        os.close(self._screen)
-
-    def type(self, keys):
-        os.write(self._screen, keys)
-
-    def asks(self, text):
-        until(lambda: text in self._look(), text)
-
-    def ends(self):
-        until(self._ended, "the end")
-        return self.status
-
-    def _ended(self):
-        self._look()
-        pid, status = os.waitpid(self._pid, os.WNOHANG)
-        if pid:
-            self.status = os.waitstatus_to_exitcode(status)
-        return pid
-
-    def _look(self):
-        try:
-            while piece := os.read(self._screen, 65536):
-                self.shown += piece.decode(errors="replace")
-        except OSError:  # nothing more now, or the program has ended
-            pass
-        return self.shown
-
-
 def test_in_a_terminal_each_question_waits_for_its_answer(log):
-    with Terminal(log) as terminal:
-        terminal.asks("time [1 t_ms in ms")
+    with Terminal(log.parent, "convert", log, "--map") as terminal:
+        terminal.until("time [1 t_ms in ms")
         terminal.type(b"\r")
-        terminal.asks("battery [-]: ")
+        terminal.until("battery [-]: ")
         terminal.type(b"\r")
-        terminal.asks("duty.m1 [-]: ")
+        terminal.until("duty.m1 [-]: ")
         terminal.type(b"\r")
-        terminal.asks("gyro.x [")
+        terminal.until("gyro.x [")
         terminal.type(b"wx\r")
-        terminal.asks("unit, one of rad/s, deg/s, counts [")
+        terminal.until("unit, one of rad/s, deg/s, counts [")
         terminal.type(b"deg/s\r")
-        terminal.asks("sign, - where the axis points the other way [+]: ")
+        terminal.until("sign, - where the axis points the other way [+]: ")
         terminal.type(b"\r" * 12)
         assert terminal.ends() == 0, terminal.shown
     assert load_column_map(map_of(log)).gyro.x.column == "wx"
@@ -175,8 +121,8 @@ def test_in_a_terminal_each_question_waits_for_its_answer(log):
     (b"\x03", 130, "interrupted"), (b"\x04", 1, "nothing was written"),
 ])  # fmt: skip
 def test_ctrl_c_and_the_end_of_input_write_nothing(keys, status, said, log):
-    with Terminal(log) as terminal:
-        terminal.asks("time [1 t_ms in ms")
+    with Terminal(log.parent, "convert", log, "--map") as terminal:
+        terminal.until("time [1 t_ms in ms")
         terminal.type(keys)
         assert terminal.ends() == status, terminal.shown
         assert said in terminal.shown

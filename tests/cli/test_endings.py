@@ -130,11 +130,6 @@ def test_channels_the_packet_csv_cannot_leave_out_are_told(tmp_path):
     assert groundstation("convert", EXCERPT, tmp_path / "e.csv").stderr == ""
 
 
-@pytest.mark.parametrize("command", [[], ["record"]])
-def test_help_of_a_group_has_an_example(command):
-    assert "Example: groundstation" in groundstation(*command, "--help").stdout
-
-
 def test_a_failed_recording_and_the_good_one_after_it_are_told_apart(tmp_path):
     with Daemon(tmp_path) as daemon:
         daemon.recording(samples=100)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from groundstation.cli.learn_flights import FastPlace
+from groundstation.cli.learn import FastPlace
 from groundstation.cli.model_files import FILTER, read_flights, with_filter
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN

@@ -1,14 +1,11 @@
 """fit, simulate, attitude and axes as a user types them, on files."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from groundstation.cli.app import app
 from groundstation.cli.model_files import model_before
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, load_vehicle
@@ -17,8 +14,8 @@ from groundstation.recording.csv_file import write_csv
 from groundstation.recording.formats import open_recording
 from groundstation.recording.mcap_file import RecordingFile
 from groundstation.recording.session import Recording, vehicle_of
+from support.commands import run
 from support.flights import recorded
-from support.programs import run_program
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 RECORDED = {
@@ -40,13 +37,6 @@ def files(tmp_path_factory):
         found[name] = folder / f"{name}.csv"
         write_csv(Recording(found[name], "csv", samples), found[name])
     return found
-
-
-def run(*arguments):
-    """The command's output; what it raises, raised."""
-    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def test_a_motor_a_body_and_a_simulation_follow_from_recordings(files, tmp_path):
@@ -183,15 +173,6 @@ def test_a_fit_keeps_to_the_seconds_it_is_given_and_writes_a_report(files, tmp_p
     assert load_model(model).fit["body"]["recordings"][0]["sha256"] in text
 
 
-def test_a_report_that_exists_is_not_overwritten_and_nothing_is_fitted(files, tmp_path):
-    page = tmp_path / "body.html"
-    page.write_text("mine")
-    with pytest.raises(BadInputError, match="exists already"):
-        run("fit", "body", files["reduced"], "-o", tmp_path / "m.json", "--html", page)
-    assert page.read_text() == "mine"
-    assert not (tmp_path / "m.json").exists()
-
-
 def test_attitude_tells_drift_from_fusion(files, tmp_path):
     table = tmp_path / "angles.csv"
     report = json.loads(run("attitude", files["hand"], "-o", table, "--json"))
@@ -270,14 +251,6 @@ def test_what_cannot_be_fitted_is_refused_and_leaves_no_model(files, tmp_path, a
     with pytest.raises(BadInputError, match=text):
         run(*(str(one).format(**files) for one in arguments), "-o", model)
     assert not model.exists()
-
-
-def test_bad_input_is_one_line_and_exit_status_1(files, tmp_path):
-    command = [Path(sys.executable).parent / "groundstation", "fit", "motor"]
-    done = run_program([*command, files["axes"], "-o", tmp_path / "m.json"])
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert "axes.csv" in done.stderr
 
 
 def test_a_model_says_which_vehicle_it_is_where_nothing_else_does(tmp_path):

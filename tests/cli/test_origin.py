@@ -5,14 +5,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from firmware_sim.craft import StandIn, StandInSettings
-from groundstation.cli.app import app
 from groundstation.dynamics.model import load_model
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.session import Recording
+from support.commands import run
 from support.flights import recorded
 from support.programs import run_program
 from support.waiting import PATIENCE_S
@@ -37,13 +36,6 @@ def files(tmp_path_factory):
         found[name] = folder / name
         run("fit", *arguments, "-o", found[name])
     return found
-
-
-def run(*arguments):
-    """The command's output, both streams; what it raises, raised."""
-    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def test_a_file_says_what_was_fitted_and_what_is_the_profiles(files):

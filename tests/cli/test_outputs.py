@@ -4,7 +4,6 @@ import json
 
 import pytest
 import typer
-from typer.testing import CliRunner
 
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
@@ -12,7 +11,7 @@ from groundstation.links.software_craft import SoftwareCraft
 from groundstation.recording.mcap_file import write_mcap
 from groundstation.recording.session import Recording
 from support import RECORDINGS
-from support.daemons import in_process
+from support.commands import done, run
 from support.packets import packet_recording
 
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"
@@ -52,6 +51,7 @@ MISSING = [
     ("pid", "evaluate", "--html", "{}"),
     ("pid", "design", "--model", "thesis", "-o", "{}"),
     ("fit", "body", EXCERPT, "-o", "{}"),
+    ("fit", "body", EXCERPT, "-o", "new.json", "--html", "{}"),
     *(
         ("discrepancy", EXCERPT, "--model", "thesis", option, "{}")
         for option in ("-o", "--json", "--html", "--rerun")
@@ -67,25 +67,21 @@ def test_no_command_makes_the_folder_of_a_file_or_writes_over_one(tmp_path, argu
         (tmp_path / "nodir" / "new.mcap", "there is no folder"),
         (taken, "exists already"),
     ):
-        words = [str(one).replace("{}", str(path)) for one in arguments]
         with pytest.raises(BadInputError, match=told):
-            CliRunner().invoke(app, words, catch_exceptions=False)
+            run(*(str(one).replace("{}", str(path)) for one in arguments))
     assert [one.name for one in tmp_path.iterdir()] == ["taken.mcap"]
     assert taken.read_bytes() == b"mine"
 
 
 def test_a_page_that_was_asked_for_is_named_in_the_answer(tmp_path):
     page = tmp_path / "page.html"
-    arguments = ["pid", "evaluate", "--html", str(page)]
-    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    assert done.output.rstrip().endswith(f"written: {page}")
+    assert run("pid", "evaluate", "--html", page).rstrip().endswith(f"written: {page}")
     assert page.exists()
 
 
 def test_convert_answers_programs_too(tmp_path):
     out = tmp_path / "excerpt.mcap"
-    done = CliRunner().invoke(app, ["convert", str(EXCERPT), str(out), "--json"])
-    found = json.loads(done.stdout)
+    found = json.loads(done("convert", EXCERPT, out, "--json").stdout)
     assert (found["file"], found["samples"]) == (str(out), 25)
     assert {"gyro_x", "battery", "duty_4", "yaw"} < set(found["channels"])
 
@@ -96,9 +92,7 @@ def test_a_flight_of_the_software_craft_is_inspected_with_its_marks(tmp_path):
     craft.mark("take-off")
     craft.wait(0.5)
     craft.save(tmp_path / "flight1.mcap")
-    shown = in_process("inspect", tmp_path / "flight1.mcap")
-    assert shown.returncode == 0, shown.stderr
-    assert "mark: take-off" in shown.stdout
+    assert "mark: take-off" in run("inspect", tmp_path / "flight1.mcap")
 
 
 def test_events_and_counts_of_another_program_s_file_may_lack_what_ours_have(tmp_path):
@@ -107,6 +101,4 @@ def test_events_and_counts_of_another_program_s_file_may_lack_what_ours_have(tmp
     metadata = {"rows": {"copies": "many", "out_of_order": ""}}
     path = tmp_path / "theirs.mcap"
     write_mcap(Recording(path, "mcap", made.samples, events=events, metadata=metadata), path)
-    shown = in_process("inspect", path)
-    assert shown.returncode == 0, shown.stderr
-    assert "mark: 5" in shown.stdout
+    assert "mark: 5" in run("inspect", path)

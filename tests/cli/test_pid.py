@@ -4,15 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from groundstation.cli.app import app
 from groundstation.cli.pid_fly import _judge
 from groundstation.control.programme import Programme
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from support import RECORDINGS
+from support.commands import done
 
 DATA = Path(__file__).parents[1] / "control" / "data"
 BODY, GAINS = str(DATA / "body.json"), str(DATA / "gains.toml")
@@ -20,11 +19,7 @@ BODY, GAINS = str(DATA / "body.json"), str(DATA / "gains.toml")
 
 def pid(*arguments):
     """Output of a command that works; what it raises otherwise."""
-    result = CliRunner().invoke(app, ["pid", *map(str, arguments)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.stdout
+    return done("pid", *arguments).stdout
 
 
 def test_stock_and_designed_gains_are_evaluated_on_a_fitted_model(tmp_path):
@@ -72,8 +67,7 @@ def test_every_effect_of_a_model_flies_in_the_loop(tmp_path):
     model["effects"].append(drag)
     path = tmp_path / "drag.json"
     path.write_text(json.dumps(model))
-    result = CliRunner().invoke(app, ["pid", "evaluate", "--model", str(path)])
-    assert (result.exit_code, result.stderr) == (0, "")
+    assert done("pid", "evaluate", "--model", path).stderr == ""
 
 
 def test_a_pid_of_the_thesis_form_runs_on_both_of_its_loops(tmp_path):

@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from groundstation.cli.app import app
-from groundstation.dynamics.meanings import suitability
+from groundstation.dynamics.meanings import Use, suitability
 from groundstation.dynamics.model import load_model
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_table_csv
 from groundstation.recording.session import Recording
+from support.commands import run
 from support.flights import recorded, truth_of
 
 C0 = 0.00425
@@ -35,13 +34,6 @@ def written(path, samples, **changes):
         samples = replace(samples, **{name: values})
     write_table_csv(Recording(Path(path), "csv", samples), path)
     return path
-
-
-def run(*arguments):
-    found = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=True)
-    if found.exception is not None and not isinstance(found.exception, SystemExit):
-        raise found.exception
-    return found.output
 
 
 def fitted(file, *more):
@@ -132,7 +124,7 @@ def test_a_fit_states_a_verdict_that_a_design_keeps_to(every, more, tmp_path, mo
     said, model = fitted(file, "--vehicle", "crazyflie21", *more)
     found = suitability(load_model(model))
     first = said.splitlines()[1].lower()
-    assert ("good enough" in first) == any(one.use == 3 for one in found.values())
+    assert ("good enough" in first) == any(one.use == Use.DESIGN for one in found.values())
     for axis, one in found.items():
         arguments = ("pid", "design", "--model", model, "--axis", axis, "--draws", 0)
         with pytest.raises(DesignBegunError if one.designs else BadInputError) as ended:

@@ -13,6 +13,7 @@ from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.formats import open_recording
 from groundstation.recording.session import Recording
+from support.commands import run
 from support.daemons import Daemon
 from support.flights import BASE, CARRYING_GAINS, MEDIUM, affected, recorded
 
@@ -25,12 +26,6 @@ def sail(values, craft, body):
 SAIL = Effect("sail", "body", (Parameter("torque", "rad/s^2", 1.0, -9.0, 9.0),),
               "a constant torque on yaw", "it turns", "hover", ("gyro z",), law=sail)
 """
-
-
-def run(*arguments):
-    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from groundstation.cli.pid_manoeuvres import Gamepad, Keyboard, StandInPilot, height_of, open_sticks
+from groundstation.cli.pid_fly import Gamepad, Keyboard, StandInPilot, height_of, open_sticks
 from groundstation.errors import BadInputError
 from support.programs import Program
 
@@ -73,7 +73,7 @@ def test_keys_raise_lower_begin_and_stop():
     """In a process of its own, whose terminal is a pseudo-terminal."""
     script = (
         "import time\n"
-        "from groundstation.cli.pid_manoeuvres import Keyboard\n"
+        "from groundstation.cli.pid_fly import Keyboard\n"
         "with Keyboard() as keys:\n"
         "    print('ready', flush=True)\n"
         "    while not (hands := keys.read()).begin: time.sleep(0.01)\n"

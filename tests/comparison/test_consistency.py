@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from groundstation.comparison.comparison import compare
 from groundstation.comparison.consistency import broken_rotor_sensors, require_consistent
-from groundstation.dynamics.model import vehicle_model
+from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import without_gaps
@@ -127,3 +128,12 @@ def test_a_craft_that_hardly_moves_is_not_taken_for_one_that_is_held(flight):
     require_consistent(
         [replace(flight, accelerometer=still + 0.2 * (flight.accelerometer - still))], BASE
     )
+
+
+def test_a_model_that_grows_without_end_is_refused():
+    endless = EffectTerm(
+        "quadratic_rate_damping", {"damping_n_m_s2": Estimate(-1.0, None, "N m s^2")}
+    )
+    model = msgspec.structs.replace(BASE, effects=(endless,))
+    with pytest.raises(BadInputError, match=r"predicts no number there.*motor constants"):
+        compare(flights(1), model)

@@ -1,9 +1,19 @@
 """Prediction errors are judged in the rows that were measured, in flight."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from groundstation.comparison.gap import ATTITUDE, HORIZONS_S, ahead_errors, overall, pooled_rms
+from groundstation.comparison.comparison import Comparison
+from groundstation.comparison.gap import (
+    ATTITUDE,
+    FURTHER_EVERY_S,
+    HORIZONS_S,
+    ahead_errors,
+    overall,
+    pooled_rms,
+)
 from groundstation.prediction.drive import fresh_rows
 from support.flights import BASE, MEDIUM, hidden, judged
 from support.flights import compared as flights
@@ -82,8 +92,30 @@ def test_200_and_500_ms_ahead_a_right_model_is_at_noise_and_a_wrong_one_shows_mo
     assert wrong.gap < overall(*ahead.at_horizon(0)) < overall(*ahead.at_horizon(1))
 
 
+def test_of_a_model_that_was_predicted_from_every_row_fewer_starts_are_known(monkeypatch):
+    one = judged()
+    (afresh,) = (
+        ahead_errors(e.recorded, one.model, like=e, every_s=FURTHER_EVERY_S) for e in one.errors
+    )
+    monkeypatch.setattr("groundstation.comparison.comparison.ahead_errors", None)
+    (found,) = one.with_model(one.model, FURTHER_EVERY_S).errors
+    np.testing.assert_array_equal(found.begun, afresh.begun)
+    for known, made in zip(
+        (found.step, *found.horizons), (afresh.step, *afresh.horizons), strict=True
+    ):
+        np.testing.assert_array_equal(known, made)
+
+
 def test_a_model_that_hardly_differs_may_be_observed_as_the_other_one_was():
     one = judged()
     (own,), (again,) = one.errors, one.with_model(one.model, same_observer=True).errors
     assert again.chosen == own.chosen
     np.testing.assert_array_equal(again.horizons[-1], own.horizons[-1])
+
+
+def test_a_model_that_leaves_what_noise_leaves_has_a_gap_of_one():
+    values = np.random.default_rng(6).normal(size=(2, 50, 9)) * np.array([[[1.0]], [[2.0]]])
+    left = SimpleNamespace(horizons=tuple(values))
+    same = Comparison(BASE, (left,), (left,), None)
+    assert same.gap == pytest.approx(1.0)
+    assert same.noise_floor == pytest.approx(np.sqrt(np.mean(values**2, axis=(0, 1))))

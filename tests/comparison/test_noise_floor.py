@@ -7,6 +7,8 @@ import pytest
 
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.gap import CHANNELS
+from groundstation.comparison.noise_floor import floor_errors, learn, prepare
+from groundstation.dynamics.model import model_vehicle
 from support.flights import BASE, MEDIUM, affected, hidden, judged
 from support.flights import compared as flights
 
@@ -75,3 +77,16 @@ def test_without_a_channel_the_others_keep_their_gap(lost):
             assert np.isnan(found[channel])
         else:
             assert found[channel] == pytest.approx(1.0, abs=0.03), channel
+
+
+def test_signals_are_chosen_once_for_all_horizons(monkeypatch):
+    near = judged(effects=hidden("velocity_moment", MEDIUM["velocity_moment"]))
+    far = near.further()
+    layout = model_vehicle(near.model).configuration
+    (made,) = (prepare(one, layout) for one in far.errors)
+    afresh = floor_errors(learn([made]), made)
+    monkeypatch.setattr("groundstation.comparison.noise_floor.fit_signals", None)
+    known = floor_errors(learn([made], far.black_box), made)
+    for one in (*far.floors, known):
+        np.testing.assert_array_equal(one.step, afresh.step)
+        np.testing.assert_array_equal(one.horizons, afresh.horizons)

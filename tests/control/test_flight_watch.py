@@ -6,11 +6,11 @@ import math
 import pytest
 
 from groundstation.control.programme import BLIND, NO_LIFT, FlightWatch, Seen
-from support.flight_watch import HOVERS
+from support.flights import HOVERS
 
 
 def seen(time_s, **changes):
-    return dataclasses.replace(HOVERS, time_s=time_s, **changes)
+    return dataclasses.replace(HOVERS, **{"time_s": time_s, "place_s": time_s} | changes)
 
 
 def watch(home=(0.0, 0.0), reach_m=1.0):
@@ -82,6 +82,35 @@ def test_what_a_gap_in_the_telemetry_hides_is_no_contradiction():
     watching = watch()
     assert watching.reason(seen(0.0), 0.5) == ""
     assert watching.reason(seen(0.6, height_m=0.7, climb_m_s=0.2), 0.5) == ""
+
+
+@pytest.mark.parametrize("every_s", [0.04, 0.2, 0.3, 0.4])
+def test_a_sensor_that_sticks_is_told_from_places_that_come_seldom(every_s):
+    def at_times(t):
+        return every_s * (t // every_s + 1e-9)
+
+    when, reason = first(
+        watch(), 6.0, place_s=at_times, climb_m_s=lambda t: 0.6 if at_times(t) > 2.0 else 0.0
+    )
+    assert reason.startswith(BLIND)
+    assert 2.0 < when < 3.0
+
+
+def test_a_craft_whose_places_come_too_seldom_to_check_its_height_is_landed():
+    when, reason = first(watch(), 6.0, place_s=lambda t: 0.6 * (t // 0.6))
+    assert when == pytest.approx(3.0, abs=0.1)
+    assert reason == "height: 0.50 m high, and for 3 s its places came too seldom to check it"
+
+
+def test_a_place_that_comes_later_than_the_rest_is_no_contradiction():
+    """As a host that is held up hears of it: it stands for 0.3 s while the craft climbs."""
+    watching = watch()
+    for tick in range(200):
+        time_s = 0.01 * tick
+        place_s = time_s if time_s < 0.5 else max(0.5, time_s - 0.3)
+        height = 0.3 + 0.6 * place_s
+        now = seen(time_s, height_m=height, climb_m_s=0.6, place_s=place_s)
+        assert not watching.reason(now, height).startswith(BLIND)
 
 
 def test_thrust_far_above_hover_is_borne_for_half_a_second():

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from groundstation.control.programme import HOLD_MOST_S, NEAR_M, Holding, Hover
-from support.flight_watch import HOVERS
+from support.flights import HOVERS
 
 ANSWER_S = 0.15
 """How fast the craft of these tests follows a velocity."""

@@ -15,7 +15,7 @@ from groundstation.control.linear_loop import (
     ROUNDED_YAW,
     DirectJudge,
     axis_plant,
-    direct_margins,
+    direct_loop,
     is_stable,
     most_delay,
     printed_cases,
@@ -51,8 +51,7 @@ def closed_loop(plant, gains, rows):
 def test_the_loop_is_the_transfer_function_it_stands_for(gains, delay):
     plant = axis_plant(THESIS, "roll", delay)
     expected, _ = closed_loop(plant, gains, 300)
-    response = run_direct(plant, gains, np.ones(300))
-    np.testing.assert_allclose(response.y, expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(step_direct(plant, gains, 0.6), expected, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("axis", ["roll", "yaw"])
@@ -73,14 +72,14 @@ def test_jury_agrees_with_the_roots(axis):
 def test_the_delay_margin_is_the_delay_that_jury_allows():
     for name in ("P", "PI", "PD", "PID"):
         plant = axis_plant(THESIS, "roll", 2)
-        margin = direct_margins(plant, GAINS[name]["roll"]).delay_s
+        margin = direct_loop(plant, GAINS[name]["roll"]).margins.delay_s
         assert math.floor(margin / TS) == most_delay(plant, GAINS[name]["roll"]) - 2, name
 
 
 def test_gain_margins_end_where_the_loop_does():
     plant = axis_plant(THESIS, "roll", 2)
     gains = GAINS["PID"]["roll"]
-    margins = direct_margins(plant, gains)
+    margins = direct_loop(plant, gains).margins
     for factor, stable in (
         (margins.gain_up * 0.98, True),
         (margins.gain_up * 1.02, False),
@@ -89,42 +88,40 @@ def test_gain_margins_end_where_the_loop_does():
     ):
         assert is_stable(plant, PidGains(*(factor * g for g in gains.as_tuple()))) is stable
     p = GAINS["P"]["roll"]
-    least = direct_margins(plant, p).gain_down
+    least = direct_loop(plant, p).margins.gain_down
     assert not is_stable(plant, PidGains(p.kp * least * 0.98))
     assert is_stable(plant, PidGains(p.kp * least * 1.02))
 
 
 def test_the_printed_gains_give_the_known_figures_at_two_and_eight_samples():
     """facts: what the tables reproduce, computed before this code and without it."""
-    cases = {(c.controller, c.axis, c.delay): c for c in printed_cases()}
-    two = {name: cases[name, "roll", 2].metrics for name in GAINS}
-    assert two["P"].rms == pytest.approx(0.62, abs=0.005)
-    assert 1 - two["P"].steady_state_error == pytest.approx(1.58, abs=0.01)
-    assert (two["PI"].rms, two["PI"].overshoot_pct) == pytest.approx((0.325, 104), rel=0.003)
-    assert (two["PD"].rms, two["PD"].overshoot_pct) == pytest.approx((0.097, 51), rel=0.01)
-    assert (two["PID"].rms, two["PID"].overshoot_pct) == pytest.approx((0.135, 72), rel=0.01)
-    assert cases["P", "roll", 8].metrics.rms == pytest.approx(1.23, abs=0.005)
-    assert not any(cases[name, "roll", 8].stable for name in ("PI", "PD", "PID"))
-    assert {name: cases[name, "roll", 2].most_delay for name in GAINS} == {
-        "P": 8,
-        "PI": 5,
-        "PD": 3,
-        "PID": 3,
-    }
+    cases = {(c["controller"], c["axis"], c["delay_samples"]): c for c in printed_cases()}
+    two, eight = ({name: cases[name, "roll", delay] for name in GAINS} for delay in (2, 8))
+    assert two["P"]["rms"] == pytest.approx(0.62, abs=0.005)
+    assert 1 - two["P"]["steady_state_error"] == pytest.approx(1.58, abs=0.01)
+    for name, known, rel in (
+        ("PI", (0.325, 104), 0.003),
+        ("PD", (0.097, 51), 0.01),
+        ("PID", (0.135, 72), 0.01),
+    ):
+        assert (two[name]["rms"], two[name]["overshoot_pct"]) == pytest.approx(known, rel=rel)
+        assert not eight[name]["stable"]
+    assert eight["P"]["rms"] == pytest.approx(1.23, abs=0.005)
+    assert [one["most_delay_samples"] for one in two.values()] == [8, 5, 3, 3]
 
 
 def test_yaw_as_printed_is_met_at_no_delay_but_by_digits_that_round_to_it():
     for delay in range(1, 9):
         for case in printed_cases((delay,)):
-            if case.axis == "yaw":
-                assert case.metrics.rms > 2 * case.printed[0]
+            if case["axis"] == "yaw":
+                assert case["rms"] > 2 * case["printed"]["rms"]
     plant = printed_plant(ROUNDED_YAW, 8)
     assert (round(plant.a[0], 3), round(plant.a[1], 4)) == (-1.995, 0.9949)
     for case in printed_cases((2, 8)):
-        if case.axis == ROUNDED_YAW:
-            assert case.stable
-            assert case.metrics.rms == pytest.approx(case.printed[0], rel=0.14)
-            assert case.metrics.overshoot_pct == pytest.approx(case.printed[1], abs=12)
+        if case["axis"] == ROUNDED_YAW:
+            assert case["stable"]
+            assert case["rms"] == pytest.approx(case["printed"]["rms"], rel=0.14)
+            assert case["overshoot_pct"] == pytest.approx(case["printed"]["overshoot_pct"], abs=12)
 
 
 def test_no_digits_that_round_to_the_printed_roll_bear_four_samples():
@@ -161,10 +158,7 @@ def test_a_response_that_does_not_stay_has_not_settled():
 def test_a_body_without_polynomials_is_a_double_integrator():
     model = THESIS.__class__(vehicle="crazyflie1", motor=THESIS.motor, body=THESIS.body)
     plant = axis_plant(model, "roll")
-    y = run_direct(
-        ArxAxis(plant.na, plant.nb, plant.nk, plant.a, plant.b, TS), PidGains(0.0), np.zeros(5)
-    ).y
-    assert not y.any()
+    assert not run_direct(plant, PidGains(0.0), np.zeros(5)).any()
     inputs = np.ones(500)
     b = np.concatenate([np.zeros(plant.nk), plant.b])
     angle = lfilter(b, [1, *plant.a], inputs)
@@ -176,10 +170,10 @@ def test_many_gains_are_judged_as_each_alone():
     table = np.array([GAINS[name]["roll"].as_tuple() for name in ("PD", "PID")])
     judged = DirectJudge(plant, 1.0)(table)
     for row, gains in zip(judged, table, strict=True):
-        alone = step_direct(plant, PidGains(*gains))
+        alone = step_metrics(step_direct(plant, PidGains(*gains)), TS)
         assert row[0] == pytest.approx(alone.rms)
         assert row[1] == pytest.approx(alone.overshoot_pct)
-        peak = direct_margins(plant, PidGains(*gains)).max_sensitivity
+        peak = direct_loop(plant, PidGains(*gains)).margins.max_sensitivity
         assert row[4] == pytest.approx(peak, rel=0.01)
     late = DirectJudge(plant, 1.0, spare_s=0.004)(table)
     assert np.isinf(late[:, :6]).all()
@@ -205,13 +199,13 @@ def test_a_loop_around_fitted_polynomials_is_that_around_the_body_they_describe(
     )
     gains = PidGains(20000.0, 0.0, 3000.0)
     plants = [axis_plant(model, "roll") for model in (fitted, grey)]
-    first, second = (run_direct(plant, gains, np.ones(300)).y for plant in plants)
+    first, second = (run_direct(plant, gains, np.ones(300)) for plant in plants)
     np.testing.assert_allclose(first, second, atol=1e-6)
     assert most_delay(plants[0], gains) == most_delay(plants[1], gains)
 
 
 def test_roll_within_its_rounding_gives_the_printed_errors_at_two_samples():
-    cases = [case for case in printed_cases((2,)) if case.axis == ROUNDED_ROLL]
-    assert [case.controller for case in cases] == ["P", "PI", "PD", "PID"]
+    cases = [case for case in printed_cases((2,)) if case["axis"] == ROUNDED_ROLL]
+    assert [case["controller"] for case in cases] == ["P", "PI", "PD", "PID"]
     for case in cases:
-        assert case.metrics.rms == pytest.approx(case.printed[0], rel=0.16), case.controller
+        assert case["rms"] == pytest.approx(case["printed"]["rms"], rel=0.16), case["controller"]

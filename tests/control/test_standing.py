@@ -6,7 +6,8 @@ from groundstation.control.programme import STAND_S, Standing, trouble_of
 
 
 def answer(height_m=0.01, **changes):
-    said = {"gyro_dps": [0.4, -0.6, 0.1], "roll_deg": 1.0, "pitch_deg": -2.0, **changes}
+    said = {"gyro_dps": [0.4, -0.6, 0.1], "roll_deg": 1.0, "pitch_deg": -2.0, "age_s": 0.01}
+    said |= changes
     return {"telemetry": said, "height_m": height_m}
 
 
@@ -20,6 +21,8 @@ def answer(height_m=0.01, **changes):
         ({"gyro_dps": [0.0, 0.0, float("nan")]}, "it moves"),
         ({"roll_deg": -12.0}, "it is tilted by 12 deg"),
         ({"pitch_deg": float("nan")}, "it is tilted"),
+        ({"age_s": 9.0}, "it says nothing"),
+        ({"age_s": float("nan")}, "it says nothing"),
         ({"height_m": 0.8}, "it is 0.80 m above the floor"),
     ],
 )

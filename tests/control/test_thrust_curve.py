@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.releases import curve_of
-from groundstation.cli.learn_flights import FastPlace
+from groundstation.cli.learn import FastPlace
 from groundstation.control.firmwares import PLATFORMS, firmware_of_model, flown_curve
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN

@@ -3,7 +3,7 @@
 import pytest
 
 from groundstation.discrepancy.proof import Reason
-from groundstation.discrepancy.search import Accepted, SearchState, drop_failing
+from groundstation.discrepancy.search import SearchState, drop_failing
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
@@ -26,8 +26,7 @@ def test_what_fails_beside_the_others_leaves_for_good_and_they_are_fitted_withou
     both = [DAMPING, DELAY]
     keys = (*search.base_keys, *(key for one in both for key in one.keys))
     search.now = search.problem.fit(search.problem.start, keys)
-    weighed = search.weighed(search.now, both)
-    search.accepted = [Accepted(*pair) for pair in zip(both, weighed, strict=True)]
+    search.accepted = search.weighed(search.now, both)
     assert drop_failing(search)
     assert [one.variant for one in search.accepted] == [DAMPING]
     assert search.refused[DELAY.label].reason is Reason.INSIGNIFICANT

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from groundstation.comparison.comparison import compare
-from groundstation.discrepancy.acceptance import LEAST_T
+from groundstation.discrepancy.acceptance import LEAST_T, SHAKEN, refusal
 from groundstation.discrepancy.disturbances import shaken_most, windows_of, with_imbalance
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.proof import FittedRows, Reason, Verdict
@@ -121,10 +121,8 @@ def test_a_model_that_has_it_already_keeps_it(bent):
 
 def test_what_shakes_no_more_than_the_others_is_refused_with_the_rotor_that_does_most():
     shaken = most(36, {"propeller_imbalance": {"rotor": 1.0}})
-    from groundstation.discrepancy.acceptance import shaken_refusal
-
-    assert shaken_refusal(shaken) is None
-    refused = shaken_refusal(replace(shaken, alone=2.0))
+    assert refusal(SHAKEN, shaken) is None
+    refused = refusal(SHAKEN, replace(shaken, alone=2.0))
     assert refused.reason is Reason.NOT_ALONE
     assert "rotor 1" in refused.words
     assert np.isfinite(shaken.recordings).all()

@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from groundstation.comparison.comparison import compare
-from groundstation.discrepancy.engine import Judge, to_follow
 from groundstation.discrepancy.proof import FittedRows
+from groundstation.discrepancy.search import Judge, to_follow
 from support.flights import base_model
 from support.flights import searched as flights
 
@@ -60,10 +60,10 @@ def test_a_channel_within_noise_that_hardly_changes_is_no_witness(following):
 
 def test_what_a_name_carries_is_asked_beside_what_is_slow(following):
     """Left out, the yaw gain is the right one here, or twice it."""
-    name = SimpleNamespace(variant=SimpleNamespace(label="gain", keys=("c2",)),
-                           evidence=SimpleNamespace(channels=(2, 8)))  # fmt: skip
+    gain = SimpleNamespace(label="gain", keys=("c2",))
+    name = SimpleNamespace(variant=gain, channels=(2, 8))
     assert following.weights({"c2": 1.5}, [name])["gain"].raises
-    roll = SimpleNamespace(variant=name.variant, evidence=SimpleNamespace(channels=(0,)))
+    roll = SimpleNamespace(variant=gain, channels=(0,))
     assert not following.weights({"c2": 1.5}, [roll])
 
 

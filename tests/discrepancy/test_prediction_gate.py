@@ -21,10 +21,6 @@ class Effect:
     def variant(self):
         return self
 
-    @property
-    def evidence(self):
-        return self
-
 
 @dataclass
 class Hunt:

@@ -8,19 +8,18 @@ import pytest
 
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.gap import CHANNELS
-from groundstation.discrepancy.proof import Candidate, Leftover, Reason, Refusal, Verdict
-from groundstation.discrepancy.report_html import (
+from groundstation.discrepancy.proof import Candidate, Leftover, Verdict
+from groundstation.discrepancy.report import (
     compare_page,
     discrepancy_page,
     evidence_bars,
     waterfall,
     where_map,
 )
-from groundstation.discrepancy.report_json import (
-    CompareReport,
-    DiscrepancyReport,
-    gap_of,
-)
+from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport, gap_of
+from groundstation.discrepancy.rerun_overlay import PAUSE_S, overlay_of
+from groundstation.errors import BadInputError
+from groundstation.viewer.overlay import write_overlay
 from support.findings import NAME, findings, proof, report
 from support.flights import BASE
 from support.flights import compared as flights
@@ -56,12 +55,6 @@ def test_the_gap_of_a_channel_is_its_error_over_its_floor_in_any_unit(found, pro
     assert gap.validation.before == pytest.approx(np.sqrt(np.mean(np.square(ratios))))
 
 
-def test_each_effect_carries_the_gap_before_and_after_it_joined(found, proven):
-    (effect,) = report(found, proven).effects
-    (same,) = found.effects
-    assert (effect.gap.before, effect.gap.after) == (same.gap_before, same.gap_after)
-
-
 def test_a_channel_that_was_not_recorded_is_absent_from_the_report():
     runs = [replace(run, attitude=np.full((len(run), 3), np.nan)) for run in flights(1)]
     judged = compare(runs, BASE)
@@ -86,7 +79,7 @@ def test_the_page_opens_with_the_verdict(verdict, words):
 
 
 def test_the_page_says_what_is_left_what_cannot_be_shown_and_what_it_could_also_be(proven):
-    left = Leftover("structured", "gyro_x", (1.5, 3.0), "tilt, roll", 4.0)
+    left = Leftover("gyro_x", (1.5, 3.0), "tilt, roll", 4.0)
     one = findings(residual=left)
     page = discrepancy_page(proven, report(one, proven)).html()
     assert "Missing in the model: tipping moment of blade flapping (the craft is tipped" in page
@@ -136,15 +129,15 @@ def test_bars_are_green_where_accepted_and_say_why_where_not(found, proven):
 
 
 def test_what_only_looked_like_the_effect_that_was_found_is_told_so(found, proven):
-    weak = Refusal(Reason.WEAK, "no significant improvement")
-    alike = Candidate("yaw_damping", {}, 4000.0, 60.0, 0.0, False, weak)
-    faint = replace(alike, name="dead_time", score=3.0)
-    other = replace(alike, name=f"{NAME}.2", refused=None)
+    weak = "no significant improvement"
+    alike = Candidate("yaw_damping", 4000.0, 60.0, 0.0, False, weak, "weak")
+    faint = Candidate("dead_time", 3.0, 60.0, 0.0, False, weak, "weak")
+    other = Candidate(f"{NAME}.2", 4000.0, 60.0, 0.0, False)
     one = replace(found, candidates=(*found.candidates, faint, alike, other))
     written = report(one, proven).candidates
     said = {c.name: c.reason for c in written}
     assert said["yaw_damping"] == f"nothing is left for it beside {NAME}"
-    assert said["dead_time"] == weak.words
+    assert said["dead_time"] == weak
     assert said[other.name] == "another form of it is named"
     assert {c.name: c.refused_by for c in written}["yaw_damping"] == "weak"
     notes = [
@@ -158,3 +151,54 @@ def test_the_waterfall_ends_where_the_last_step_ended(proven):
     given, *_, improved = axis.patches
     assert given.get_width() == pytest.approx(proven.steps[0][1])
     assert improved.get_width() == pytest.approx(proven.steps[-1][1])
+
+
+# The viewer gets measured and predicted channels of every held-out flight on one time axis.
+
+
+@pytest.fixture(scope="module")
+def overlay(found, proven):
+    return overlay_of(proven, report(found, proven)), proven
+
+
+def test_measured_less_predicted_is_the_error_that_was_judged(overlay):
+    made, proven = overlay
+    unit, values = made.channels["gyro_x"]
+    assert unit == "deg/s"
+    error = np.degrees(proven.before.errors[0].horizons[-1][:, 0])
+    np.testing.assert_allclose(values[:, 0] - values[:, 1], error, atol=1e-9)
+    measured = np.degrees(proven.before.errors[0].run.gyro[:, 0])
+    np.testing.assert_allclose(values[:, 0], measured)
+
+
+def test_flights_follow_each_other_with_a_pause(overlay):
+    made, proven = overlay
+    assert made.flights == ((0.0, proven.before.errors[0].run.name),)
+    assert made.time_s[0] == 0.0
+    assert np.diff(made.time_s).max() < PAUSE_S
+    assert len(made.time_s) == len(proven.before.errors[0].run)
+
+
+def test_the_gap_over_time_falls_to_noise(overlay):
+    made, _ = overlay
+    known = np.isfinite(made.gap).all(axis=1)
+    before, after = np.sqrt(np.mean(made.gap[known] ** 2, axis=0))
+    assert before > 1.5
+    assert after == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_file_has_every_series_and_is_never_overwritten(overlay, tmp_path):
+    from rerun.chunk import RrdReader
+
+    made, _ = overlay
+    path = tmp_path / "shown.rrd"
+    write_overlay(made, path)
+    rows = {}
+    for chunk in RrdReader(path).stream():
+        entity = chunk.entity_path.replace("\\", "")
+        rows[entity] = rows.get(entity, 0) + chunk.to_record_batch().num_rows
+    for channel in CHANNELS:
+        assert rows[f"/channels/{channel}/measured"] >= len(made.time_s)
+    assert rows["/gap/model"] > 10
+    with pytest.raises(BadInputError, match="exists already"):
+        write_overlay(made, path)

@@ -5,17 +5,17 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from groundstation.discrepancy.proof import NotShown, Verdict
-from groundstation.discrepancy.report_html import (
+from groundstation.discrepancy.proof import EffectFound, NotShown, PossibleEffect, Step, Verdict
+from groundstation.discrepancy.report import (
     advice_of,
     by_weight,
     flight_plan,
+    found_in_short,
     found_in_words,
     is_zero,
     next_in_words,
     possible_in_words,
 )
-from groundstation.discrepancy.report_json import EffectFound, Step
 from groundstation.dynamics.model import Estimate
 from support.findings import NAME, findings, proof, report
 
@@ -40,11 +40,33 @@ def test_what_was_found_is_told_by_its_name_with_what_it_does_and_how_sure_it_is
     assert "what was found explains 90 % of what was wrong" in said
 
 
+def test_what_was_found_in_part_says_so_and_how_much_is_left():
+    one = findings(Verdict.FOUND_IN_PART)
+    told = report(one, proof(one))
+    assert found_in_words(told).startswith("Missing in the model, and more than that: tipping")
+    after = told.gap.validation.after
+    assert (
+        found_in_short(told)[0] == f"1 effect found, and errors are still {after:.2f} times noise"
+    )
+
+
+def test_where_nothing_is_missing_it_says_what_that_rests_on():
+    one = findings(Verdict.NO_DISCREPANCY)
+    told = report(one, proof(one))
+    said = found_in_words(told)
+    assert "Checked on recordings that no fit has seen: prediction errors are" in said
+    level = msgspec.structs.replace(told.gap.validation, before=1.04)
+    near = msgspec.structs.replace(told, gap=msgspec.structs.replace(told.gap, validation=level))
+    assert found_in_words(near).endswith(
+        "prediction errors are 1.04 times noise, within the 1.1 that noise levels are known to."
+    )
+
+
 def test_what_is_possible_is_told_apart_with_what_stands_in_its_place():
     one = findings()
     (named,) = one.effects
     other = replace(named.alternatives[0], share=0.3)
-    doubtful = replace(named, recurrence=0.45, alternatives=(other,))
+    doubtful = PossibleEffect(NAME, named.parameters, 0.45, (other,))
     told = report(replace(one, possible=(doubtful,)), proof(one))
     (line,) = possible_in_words(told)
     assert line.startswith("possible: tipping moment of blade flapping, chosen in 45 %")
@@ -86,7 +108,7 @@ def test_where_nothing_is_named_it_says_what_to_do(verdict, words):
 
 def test_effects_stand_in_the_order_of_what_they_explain():
     def effect(name, weight):
-        return EffectFound(name, 1, "", {}, {}, [], Step(2.0, 1.0), [], weight)
+        return EffectFound(name, 1, "", {}, {}, (), Step(2.0, 1.0), (), weight)
 
     found = [effect("a", None), effect("b", 0.1), effect("c", 0.7)]
     assert [one.name for one in by_weight(found)] == ["c", "b", "a"]

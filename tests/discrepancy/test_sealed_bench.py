@@ -29,7 +29,7 @@ from bench.sealed.signals import Signals, effect_signals
 from bench.sealed.tables import tables
 from firmware_sim.effects.catalogue import EFFECTS, draw
 from firmware_sim.layout import TRUTH
-from firmware_sim.present import present_effects
+from firmware_sim.physics import present_effects
 from firmware_sim.settings import StandInSettings
 from groundstation.comparison.gap import motion_of, regimes_of
 from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, load_model, save_model

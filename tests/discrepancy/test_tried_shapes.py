@@ -2,7 +2,7 @@
 
 import pytest
 
-from groundstation.discrepancy.acceptance import Stage, Trial, refusal
+from groundstation.discrepancy.acceptance import SCREENED, refusal
 from groundstation.discrepancy.screening import screen, started, tried
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import VARIANTS, point_of
@@ -28,7 +28,7 @@ def test_a_load_is_found_whatever_its_length(length_m):
     problem, found = looked_for({"slung_load": {"percent": 8.0, "length_m": length_m}})
     assert len(found) == len(LOAD.tried.parameter.tried)
     best, at = max(found, key=lambda one: one[0].drop)
-    assert refusal(Stage.SCREENED, Trial(LOAD, scored=best)) is None
+    assert refusal(SCREENED, best) is None
     assert at == pytest.approx(length_m, rel=0.2)
     point = started(problem.start, best, {LENGTH: at})
     for _ in range(2):  # the noise is another once the load is in the model
@@ -41,5 +41,5 @@ def test_a_load_is_found_whatever_its_length(length_m):
 def test_a_craft_without_a_load_gets_no_columns_of_one():
     problem, found = looked_for({})
     for one, _ in found:
-        assert refusal(Stage.SCREENED, Trial(LOAD, scored=one)) is not None
+        assert refusal(SCREENED, one) is not None
     assert not {*problem.every_key} & {*LOAD.keys}

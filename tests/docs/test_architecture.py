@@ -24,7 +24,6 @@ PARTS_MOST, MODULE_LINES, FUNCTION_LINES = 30, 1000, 100
 """A function of two screens."""
 LONG_KERNELS = {
     "firmware_sim/plant.py: derivative",
-    "groundstation/control/kernels.py: cascade_many",
     "groundstation/control/kernels.py: cascade_run",
     "groundstation/prediction/kernels.py: observe",
     "groundstation/twin/kernels.py: score",
@@ -205,3 +204,30 @@ def test_an_effect_is_named_by_its_own_file_and_at_most_two_more(name, spoken):
     word = re.compile(rf"\b{name}\b")
     named = [path for path, text in spoken.items() if word.search(text)]
     assert len(named) <= 2, named
+
+
+FILES = [*sources(""), *sources("firmware_sim")]
+REFERENCE = re.compile(r"``([\w/]+\.py|[a-z_]+\.[A-Za-z_]\w+)``")
+OUTSIDE_NAMES = {"motor.m1", "kalman.dragB_x", "supervisor.info", "recording.folder"}
+"""Of the craft's log and parameters, and of the configuration, that look like names in modules."""
+
+
+def test_files_and_names_that_comments_point_to_are_there():
+    known = {path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py")}
+    modules = {}
+    for path in FILES:
+        modules.setdefault(path.stem, []).append(path.read_text())
+    packages = {path.name for path in (ROOT / "groundstation").rglob("*") if path.is_dir()}
+    lost = []
+    for path in FILES:
+        for named in REFERENCE.findall(path.read_text()):
+            where, _, name = named.rpartition(".")
+            if name == "py":
+                there = any(f"/{one}".endswith(f"/{named}") for one in known)
+            elif where in modules:
+                there = any(re.search(rf"\b{name}\b", text) for text in modules[where])
+            else:
+                there = where not in packages or name in modules
+            if not there and named not in OUTSIDE_NAMES:
+                lost.append(f"{path.relative_to(ROOT)}: {named}")
+    assert lost == []

@@ -37,7 +37,6 @@ from support.programs import Program, free_port, on_free_ports, run_program
 from support.waiting import PATIENCE_S, until
 
 SEALED = "tests/discrepancy/test_sealed.py"
-SEALED_BENCH = "tests/discrepancy/test_sealed_bench.py"
 FLEET = "tests/fleet/test_fleet.py"
 ELSEWHERE = {
     # begins with: (why not here, where, what is to be found there)
@@ -63,7 +62,7 @@ ELSEWHERE = {
     "groundstation motors": ("a craft to command", "tests/system/test_pid_fly.py", 'told("stop")'),
     "sh learnt/commands.sh": ("after it", "tests/test_shell.py", "can_be_run_again"),
     # one axis and one search are in the story
-    "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
+    "groundstation pid design": ("10 s", "tests/cli/test_pid.py", '"design"'),
     "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", "--validate"),
     "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "dev,radio"),
     "pip install -e '.[fleet]'": ("the test environment has it", "Makefile", ",fleet]"),

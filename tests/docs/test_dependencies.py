@@ -7,24 +7,23 @@ import tomllib
 
 from support import ROOT
 
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+ASKED = [*PROJECT["dependencies"], *(one for some in EXTRAS.values() for one in some)]
+
 
 def test_every_dependency_is_justified_and_every_row_is_a_dependency():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    asked = [*project["dependencies"]]
-    for extra in project["optional-dependencies"].values():
-        asked += extra
     text = (ROOT / "docs" / "dependencies.md").read_text()
     rows = re.findall(r"^\| ([\w.-]+) \|", text, re.MULTILINE)
-    assert set(rows) - {"package"} == {re.split(r"[<>=]", one)[0] for one in asked}
+    assert set(rows) - {"package"} == {re.split(r"[<>=]", one)[0] for one in ASKED}
 
 
 def test_every_dependency_has_a_version_that_is_installed():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     fixed = {
         line.split("==")[0].lower().replace("_", "-")
         for line in (ROOT / "constraints.txt").read_text().splitlines()
     }
-    for one in project["dependencies"]:
+    for one in PROJECT["dependencies"]:
         assert re.split(r"[<>=]", one)[0].lower().replace("_", "-") in fixed
 
 
@@ -47,10 +46,9 @@ FACES_STRANGERS = (
 
 
 def test_what_faces_strangers_is_asked_for_in_no_older_version_than_is_tested():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    asked = [*project["dependencies"]]
+    asked = [*PROJECT["dependencies"]]
     for name in ("radio", "logs", "fleet"):
-        asked += project["optional-dependencies"][name]
+        asked += EXTRAS[name]
     tested = dict(
         line.split("==") for line in (ROOT / "constraints.txt").read_text().split() if "==" in line
     )
@@ -62,10 +60,7 @@ def test_what_faces_strangers_is_asked_for_in_no_older_version_than_is_tested():
 
 def test_what_the_program_imports_is_declared():
     """What comes along with another package may cease to."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"]
-    declared = [*project["dependencies"], *(one for some in extras.values() for one in some)]
-    names = {re.split(r"[<>=]", one)[0].lower().replace("-", "_") for one in declared}
+    names = {re.split(r"[<>=]", one)[0].lower().replace("-", "_") for one in ASKED}
     known = names | {MODULES.get(name, name) for name in names}
     imported = set()
     for path in (ROOT / "groundstation").rglob("*.py"):

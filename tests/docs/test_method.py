@@ -3,11 +3,11 @@
 import importlib
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from support import ROOT
+
 PAGE = (ROOT / "docs" / "method.md").read_text()
 FOLDERS = {"S": "groundstation/discrepancy", "L": "groundstation/identification/likelihood"}
 OTHERS = set(re.findall(r"`(groundstation/\S+)\.py`", PAGE))

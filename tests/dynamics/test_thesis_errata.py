@@ -56,13 +56,17 @@ def kinetic_matrix():
 
 
 @functools.cache
+def lagrange_left_side():
+    """The generalised torque of Lagrange's equations from the kinetic energy."""
+    energy = (RATES.T * kinetic_matrix() * RATES)[0] / 2
+    pairs = zip(ETA, RATES, strict=True)
+    return sp.Matrix([energy.diff(v).diff(T) - energy.diff(x) for x, v in pairs])
+
+
+@functools.cache
 def lagrange_right_side():
     """J eta'' = tau - (what Lagrange's equations leave), for a generalised torque (U1, U2, U3)."""
-    energy = (RATES.T * kinetic_matrix() * RATES)[0] / 2
-    left = sp.Matrix(
-        [energy.diff(v).diff(T) - energy.diff(x) for x, v in zip(ETA, RATES, strict=True)]
-    )
-    return sp.Matrix([U1, U2, U3]) - (left - kinetic_matrix() * ETA.diff(T, 2))
+    return sp.Matrix([U1, U2, U3]) - (lagrange_left_side() - kinetic_matrix() * ETA.diff(T, 2))
 
 
 def assert_equal(one, other):
@@ -205,10 +209,7 @@ def test_3_41_the_generalised_torque_is_w_transposed_times_the_body_torque():
     w = rates_matrix()
     omega = w * RATES
     body_torque = INERTIA * omega.diff(T) + omega.cross(INERTIA * omega)
-    energy = (RATES.T * kinetic_matrix() * RATES)[0] / 2
-    generalised = sp.Matrix(
-        [energy.diff(v).diff(T) - energy.diff(x) for x, v in zip(ETA, RATES, strict=True)]
-    )
+    generalised = lagrange_left_side()
     numbers = {IXX: 1.0, IYY: 1.3, IZZ: 1.9}
     motion = {PHI: 0.4 + 0.7 * T, THETA: -0.3 + 0.5 * T**2, PSI: 1.1 * T - 0.2 * T**3}
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from groundstation.telemetry.packet import ALTERNATE, ENDPOINT, INTERFACE
 from support.firmware import UsbControl, firmware, octets
-from support.usb_descriptors import (
+from support.usb_device import (
+    UsbBridge,
     configuration_descriptor,
     device_descriptor,
     string_descriptor,
 )
-from support.usb_device import UsbBridge
 
 IDENTITY = bytes(range(0xA0, 0xAC))
 SERIAL = IDENTITY.hex().upper()

@@ -1,4 +1,6 @@
-"""The stand-in as its users see it: reproducible, restartable, flyable for ever."""
+"""The stand-in as its users see it: reproducible, restartable, flyable for ever; and the rows of
+its pilot's programme.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from firmware_sim import programme as programmes
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.programme import BUILT_IN, Excitation, Programme, Segment
+from firmware_sim.programme import BUILT_IN, Excitation, Programme, Segment, Sticks, load_programme
 from firmware_sim.settings import Loss
-from support.plant import flown, rows_of
+from support.plant import flown, programme, rows_of
 from support.programs import run_program
+
+REST = {"kind": "rest", "seconds": 3}
 
 
 @pytest.fixture(scope="module")
@@ -89,12 +94,8 @@ def test_a_full_cell_carries_the_craft_for_about_seven_minutes():
 
 
 def test_too_much_current_opens_the_protection(tmp_path):
-    path = tmp_path / "punch.toml"
-    path.write_text(
-        'name = "punch"\n[[segment]]\nkind = "rest"\nseconds = 3\n'
-        '[[segment]]\nkind = "bench"\nseconds = 5\nthrust = 60000\n'
-    )
-    craft = StandIn(StandInSettings(program=str(path)))
+    punch = {"kind": "bench", "seconds": 5, "thrust": 60000}
+    craft = StandIn(StandInSettings(program=programme(tmp_path, REST, punch)))
     _, arrivals = craft.advance(6.0)
     assert arrivals[-1] < 3.1
     assert not craft.state().powered
@@ -150,51 +151,18 @@ def test_every_built_in_programme_runs(name):
 
 
 def test_a_programme_can_be_written_in_toml(tmp_path):
-    path = tmp_path / "one_step.toml"
-    path.write_text(
-        """
-        name = "one step"
-        [[segment]]
-        kind = "rest"
-        seconds = 3
-        [[segment]]
-        kind = "fly"
-        seconds = 8
-        keep = 0
-        [[segment.excite]]
-        axis = "roll"
-        shape = "step"
-        amplitude = 6
-        start_s = 4
-        end_s = 5
-        """
-    )
-    _, rows = flown(8.2, program=str(path), plant="reduced")
+    step = {"axis": "roll", "shape": "step", "amplitude": 6, "start_s": 4, "end_s": 5}
+    fly = {"kind": "fly", "seconds": 8, "keep": 0, "excite": [step]}
+    _, rows = flown(8.2, program=programme(tmp_path, REST, fly), plant="reduced")
     roll = rows["angles"][:, 0] / 100
     assert roll[3700:3980].mean() == pytest.approx(6, abs=2)
     assert abs(roll[3300:3480].mean()) < 1
 
 
 def test_a_programme_pushes_the_collective_thrust_on_top_of_the_held_height(tmp_path):
-    path = tmp_path / "push.toml"
-    path.write_text(
-        """
-        name = "push"
-        [[segment]]
-        kind = "rest"
-        seconds = 3
-        [[segment]]
-        kind = "fly"
-        seconds = 9
-        [[segment.excite]]
-        axis = "collective"
-        shape = "step"
-        amplitude = 0.4
-        start_s = 7
-        end_s = 7.3
-        """
-    )
-    craft, _ = flown(10.8, program=str(path), plant="reduced", truth=True)
+    push = {"axis": "collective", "shape": "step", "amplitude": 0.4, "start_s": 7, "end_s": 7.3}
+    fly = {"kind": "fly", "seconds": 9, "excite": [push]}
+    craft, _ = flown(10.8, program=programme(tmp_path, REST, fly), plant="reduced", truth=True)
     truth = craft.truth()
     squares = (truth["rotor_rev_s"] ** 2).sum(axis=1)
     before, pushed = squares[4800:4980].mean(), squares[5020:5150].max()
@@ -224,8 +192,6 @@ def test_a_programme_that_is_nowhere_is_refused():
 
 
 def test_random_excitation_differs_from_lap_to_lap_but_not_from_call_to_call():
-    from firmware_sim.programme import Sticks
-
     excite = (Excitation(axis="roll", shape="random", amplitude=5.0),)
     lap = Programme(
         name="laps", segment=(Segment(kind="fly", seconds=2.0, excite=excite),), repeat=0
@@ -259,3 +225,20 @@ def test_many_flights_at_once_are_the_flights_one_by_one():
             pool.map(lambda craft: craft.advance(5.0)[0].tobytes(), map(StandIn, crafts))
         )
     assert together == [StandIn(settings).advance(5.0)[0].tobytes() for settings in crafts]
+
+
+def test_rows_are_the_same_however_they_are_asked_for_and_no_segment_is_made_twice(monkeypatch):
+    flown = load_programme("excite")
+    whole = Sticks(flown, 3).rows(0, 40_000)
+    made = []
+    rows_of = programmes._segment_rows
+    monkeypatch.setattr(
+        programmes, "_segment_rows", lambda *given: made.append(given) or rows_of(*given)
+    )
+    sticks = Sticks(flown, 3)
+    for first in range(0, 39_990, 7):
+        np.testing.assert_array_equal(sticks.rows(first, 9), whole[first : first + 9])
+    ahead = len(made)
+    assert ahead <= 2 + 40_000 * programmes.TICK_S / min(one.seconds for one in flown.segment)
+    np.testing.assert_array_equal(sticks.rows(0, 9), whole[:9])  # powered on anew
+    assert len(made) == ahead + 1

@@ -10,14 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_sim.contents import PARAMETERS, VARIABLES
-from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp import MAX_DATA, Conversation
+from support.plant import craft_after
 
 
 @pytest.fixture(scope="module")
 def craft():
-    stand_in = StandIn(StandInSettings(program="wait", plant="reduced"))
-    stand_in.advance(3.0)
+    stand_in = craft_after(3.0, program="wait", plant="reduced")
     return stand_in
 
 

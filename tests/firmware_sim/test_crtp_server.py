@@ -19,8 +19,8 @@ from cflib.crazyflie.log import LogConfig
 
 from firmware_sim.contents import PARAMETERS, VARIABLES
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.crtp_server import MAX_CLIENTS, CrtpServer
-from support.crafts import ServedCraft, served
+from firmware_sim.crtp import MAX_CLIENTS, CrtpServer
+from support.crafts import ServedCraft, run_flat, served
 from support.waiting import until
 
 
@@ -100,7 +100,7 @@ def test_log_blocks_come_100_times_a_second_and_setpoints_fly_the_craft(flight):
 def test_a_client_that_falls_silent_is_levelled_and_stopped_in_the_firmwares_time(flight):
     with connected(flight) as crazyflie:
         crazyflie.commander.send_setpoint(8.0, 0.0, 0.0, 30000)
-        flight.wait_for(lambda: flight.craft.state().thrust == 30000)
+        until(lambda: flight.craft.state().thrust == 30000, "thrust")
         sent_s = flight.craft.time_s
         seen: dict[str, float] = {}
 
@@ -112,7 +112,7 @@ def test_a_client_that_falls_silent_is_levelled_and_stopped_in_the_firmwares_tim
                 seen.setdefault("stopped", now)
 
         flight.each_step = watch
-        flight.wait_for(lambda: len(seen) == 2)
+        until(lambda: len(seen) == 2, "levelled and stopped")
         flight.each_step = lambda: None
     assert seen["level"] == pytest.approx(0.5, abs=0.1)
     assert seen["stopped"] == pytest.approx(2.0, abs=0.1)
@@ -145,6 +145,21 @@ def test_garbage_neither_stops_the_server_nor_fills_its_memory(flight):
         sender.close()
     with connected(flight) as crazyflie:
         assert crazyflie.param.values["pid_rate"]["roll_kp"] == "70.0"
+
+
+def test_a_craft_whose_cell_is_empty_says_nothing():
+    """It told of motors that turn for as long as somebody listened."""
+    with served() as off, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.connect(("127.0.0.1", off.server.port))
+        client.settimeout(5)
+        client.send(b"\xff")
+        assert client.recv(64) == b"\xff"
+        run_flat(off.craft)
+        until(lambda: not off.craft.powered, "it is off")
+        client.settimeout(0.5)
+        client.send(b"\xff")
+        with pytest.raises(TimeoutError):
+            client.recv(64)
 
 
 def test_a_port_that_is_taken_is_an_os_error(flight):

@@ -29,6 +29,8 @@ from firmware_sim.crtp import (
     Conversation,
 )
 from support.crafts import ServedCraft, served
+from support.plant import craft_after
+from support.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +73,7 @@ def test_the_step_by_step_example_chooses_an_estimator_and_another(connected, cr
     )
     for number in ("2", "1"):
         connected.cf.param.set_value("stabilizer.estimator", number)
-        craft.wait_for(lambda number=number: heard[-1:] == [number])
+        until(lambda number=number: heard[-1:] == [number], "it is told")
         assert craft.craft.get_parameter("stabilizer.estimator") == float(number)
 
 
@@ -81,8 +83,7 @@ def test_the_library_is_told_protocol_and_device(connected, craft):
 
 @pytest.fixture(scope="module")
 def standing() -> StandIn:
-    stand_in = StandIn(StandInSettings(craft="crazyflie21", program="wait", plant="reduced"))
-    stand_in.advance(3.0)
+    stand_in = craft_after(3.0, craft="crazyflie21", program="wait", plant="reduced")
     return stand_in
 
 
@@ -188,8 +189,7 @@ def test_an_older_release_sends_its_motors_in_32_bits():
 
 def test_firmware_built_to_run_in_software_repeats_a_request_to_arm_and_does_not_say_what_it_is():
     """As that of April 2024 does: whether a craft is armed only its log says."""
-    craft = StandIn(StandInSettings(craft="brushless", protocol=7, software_build=True))
-    craft.advance(3.0)
+    craft = craft_after(3.0, craft="brushless", protocol=7, software_build=True)
     talk = Conversation(craft)
     assert talk.answer(b"\xd0\x01\x01") == [b"\xd0\x01\x01"]
     craft.advance(3.2)
@@ -220,8 +220,7 @@ def logged_as_in_2014(craft: StandIn) -> list[bytes]:
 
 @pytest.mark.parametrize("protocol", [7, 10])
 def test_the_log_commands_of_2014_work_as_well_until_2026(protocol: int) -> None:
-    craft = StandIn(StandInSettings(craft="crazyflie21", plant="reduced", protocol=protocol))
-    craft.advance(2.0)
+    craft = craft_after(2.0, craft="crazyflie21", plant="reduced", protocol=protocol)
     create, append, start, *packets = logged_as_in_2014(craft)
     assert [create[1:], append[1:], start[1:]] == [
         bytes([command, 3, 0]) for command in (CREATE, APPEND, START)
@@ -237,8 +236,7 @@ def test_the_log_commands_of_2014_work_as_well_until_2026(protocol: int) -> None
 
 
 def test_from_2026_on_the_log_commands_of_2014_are_gone() -> None:
-    craft = StandIn(StandInSettings(craft="crazyflie21", plant="reduced", protocol=12))
-    craft.advance(2.0)
+    craft = craft_after(2.0, craft="crazyflie21", plant="reduced", protocol=12)
     assert logged_as_in_2014(craft) == []
     client = Conversation(craft)
     for command in (CREATE, APPEND):
@@ -248,8 +246,7 @@ def test_from_2026_on_the_log_commands_of_2014_are_gone() -> None:
 
 
 def test_a_number_that_does_not_fit_is_cut_to_its_lowest_bytes() -> None:
-    craft = StandIn(StandInSettings(craft="crazyflie21", plant="reduced"))
-    craft.advance(2.0)
+    craft = craft_after(2.0, craft="crazyflie21", plant="reduced")
     client = Conversation(craft)
     place = [name for name, *_ in client.contents.variables].index("pm.vbatMV")
     ask = struct.pack("<BHBH", U16, place, U8, place)

@@ -13,12 +13,10 @@ from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.imu import lever_arm_acceleration
 from firmware_sim.layout import ARM, LOAD, PHASE
-from firmware_sim.settings import Loss
 from groundstation.dynamics.registry import EFFECTS as NAMED
-from support.plant import callable_piece, flown, fly, plant, rotation, slopes
+from support.plant import QUIET, callable_piece, flown, fly, plant, rotation, slopes
 
 G = 9.80665
-QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
 NEUTRAL = {"motor_braking_asymmetry": {"factor": 1.0}, "rotor_mismatch": {"excess": 0.0}}
 SIZES = {
     "centre_of_gravity_offset": {"x_m": 5e-4, "y_m": -3e-4},
@@ -206,7 +204,7 @@ def test_ground_effect_fades_with_height():
 
 
 def test_supply_sag_is_resistance_times_the_motors_summed_current():
-    _, _ = craft, rows = flown(
+    craft, rows = flown(
         12.0, plant="reduced", supply_v=3.8, truth=True, effects={"supply_sag": {}}, **QUIET
     )
     truth = craft.truth()[3000:]

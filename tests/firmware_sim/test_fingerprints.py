@@ -11,7 +11,7 @@ from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.recording.csv_file import read_csv
 from groundstation.telemetry.samples import packet_counts
 from support import fingerprints
-from support.plant import flown, rows_of
+from support.plant import flown, programme, rows_of
 
 EXCERPT = Path(__file__).parents[2] / "recordings" / "thesis_excerpt.csv"
 
@@ -92,13 +92,10 @@ def test_the_mean_accelerometer_is_near_one_g(counts):
 @pytest.mark.parametrize("craft", ["crazyflie1", "crazyflie21"])
 @pytest.mark.parametrize("level", [26000, 38000, 46000])
 def test_the_rotors_show_in_the_accelerometer_at_their_alias(tmp_path, craft, level):
-    path = tmp_path / "level.toml"
-    path.write_text(
-        'name = "level"\n[[segment]]\nkind = "rest"\nseconds = 3\n'
-        f'[[segment]]\nkind = "bench"\nseconds = 30\nthrust = {level}\n'
-    )
+    rest, bench = {"kind": "rest", "seconds": 3}, {"kind": "bench", "seconds": 30, "thrust": level}
+    path = programme(tmp_path, rest, bench)
     stand_in = StandIn(
-        StandInSettings(craft=craft, firmware="2014", program=str(path), supply_v=3.7, truth=True)
+        StandInSettings(craft=craft, firmware="2014", program=path, supply_v=3.7, truth=True)
     )
     rows = rows_of(stand_in.advance(12.0)[0])
     x = rows["accelerometer"][3000:5900, 0].astype(float)

@@ -15,9 +15,10 @@ from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp import Conversation
-from firmware_sim.present import present_effects
+from firmware_sim.physics import present_effects
 from firmware_sim.supervisor import FLYING, LEVEL_OUT, LOCKED
 from support.crafts import served
+from support.waiting import until
 
 STEP_S = 0.02
 READY_S = 3.0
@@ -300,4 +301,4 @@ def test_the_official_library_measures_the_same():
         stopped = hold(2.0, lambda: commander.send_hover_setpoint(0.0, 0.0, 0.0, 0.5))
         assert stopped == pytest.approx(0.0, abs=0.1)
         commander.send_stop_setpoint()
-        craft.wait_for(lambda: not any(craft.craft.state().motors))
+        until(lambda: not any(craft.craft.state().motors), "the motors stand")

@@ -10,13 +10,14 @@ import pytest
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.hide import HIDEABLE, main
-from firmware_sim.present import present_effects
+from firmware_sim.physics import present_effects
 from firmware_sim.settings import load_settings
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.body import identify_body
 from groundstation.identification.runs import runs_of
 from support.flights import recorded
+from support.plant import craft_after
 
 CRAFTS = ("crazyflie1", "crazyflie21")
 UNLIKE_THE_PLANT = {
@@ -70,8 +71,7 @@ def test_any_delay_of_the_model_is_the_whole_delay(tmp_path, craft, delay_s):
     path = model_file(tmp_path, craft, {"dead_time": {"delay_s": delay_s}})
     found = present_effects(StandInSettings(craft=path)).get("dead_time", {"delay_s": 0.0})
     assert found["delay_s"] == pytest.approx(delay_s, abs=2e-9)
-    flown = StandIn(StandInSettings(craft=path, program="hover", truth=True))
-    flown.advance(3.0)
+    flown = craft_after(3.0, craft=path, program="hover", truth=True)
     settings = flown._parameters[0]
     lag_s = float(settings["dlpf_s"][0])
     ages = flown.truth()["sensor_age_s"][500:]

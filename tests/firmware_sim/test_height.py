@@ -5,21 +5,21 @@ import struct
 import numpy as np
 import pytest
 
-from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp import Conversation
+from support.plant import craft_after
 
 HEADER = 7 << 4
 STEP_S = 0.01
 
 
-def flown(craft_name, packets, *, height_deck=True):
+def flown(craft_name, packets, parameters=(), **settings):
     """Position (m), angles (deg) and thrust after each packet, 100 a second."""
-    craft = StandIn(
-        StandInSettings(
-            craft=craft_name, program="wait", resume_s=1e6, height_deck=height_deck, seed=4
-        )
-    )
-    craft.advance(3.0)
+    craft = craft_after(
+        3.0, craft=craft_name, program="wait", resume_s=1e6, seed=4,
+        **{"height_deck": True, **settings},
+    )  # fmt: skip
+    for name, value in parameters:
+        craft.set_parameter(name, value)
     craft.arm(True)
     talk, rows = Conversation(craft), []
     for k, packet in enumerate(packets):
@@ -53,6 +53,18 @@ def test_it_climbs_there_stays_while_it_leans_and_comes_down(craft):
     assert flight[-1, 6] == 0
 
 
+@pytest.mark.parametrize(("least", "it_stays"), [(20000.0, False), (15000.0, True)])
+def test_a_light_craft_whose_least_thrust_carries_it_rises_beyond_what_was_asked(least, it_stays):
+    light = {"mass_change": {"percent": -8.0}}
+    sinking = [("posCtlPid.thrustMin", least)]
+    height_m = flown("brushless", climb(0.5, 500), sinking, effects=light)[:, 2]
+    if it_stays:
+        assert height_m.max() < 0.6
+        assert height_m[-1] == pytest.approx(0.5, abs=0.02)
+    else:
+        assert height_m.max() > 1.0
+
+
 @pytest.mark.parametrize(("kind", "turned"), [(9, 1.0), (2, -1.0)])
 def test_pitch_is_nose_up_and_the_older_packet_turns_the_other_way(kind, turned):
     turning = [at_height(0.5, pitch=6.0, yaw=40.0, kind=kind)] * 60
@@ -76,12 +88,9 @@ def test_a_client_that_falls_silent_is_levelled_and_then_stopped():
 
 def with_althold(seconds_and_thrust, **settings):
     """Height (m) and the least motor setting behind each stretch of setpoints."""
-    craft = StandIn(
-        StandInSettings(
-            craft="crazyflie21", program="wait", resume_s=1e6, plant="reduced", seed=4, **settings
-        )
+    craft = craft_after(
+        3.0, craft="crazyflie21", program="wait", resume_s=1e6, plant="reduced", seed=4, **settings
     )
-    craft.advance(3.0)
     craft.set_parameter("flightmode.althold", 1.0)
     said = []
     for seconds, thrust in seconds_and_thrust:

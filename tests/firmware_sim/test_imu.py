@@ -7,41 +7,38 @@ import math
 import numpy as np
 import pytest
 
-from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.imu import register
-from firmware_sim.physics import DLPF
-from firmware_sim.settings import Loss, Sensor
-from support.plant import callable_piece, flown
-
-QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
+from firmware_sim.physics import DLPF, present_effects
+from firmware_sim.settings import Sensor, StandInSettings
+from support.plant import QUIET, callable_piece, craft_after, flown, programme
 
 
-def measured_delay_s(seconds: float = 20.0, **settings):
-    """Delay of the gyro against the true rate by the best shift over a hand-turned craft."""
-    craft, rows = flown(seconds, truth=True, **QUIET, **settings)
-    truth = craft.truth()[: len(rows["gyro"])]
-    window = slice(2500, len(truth) - 100)
-    seen = np.radians(rows["gyro"][window, 0] / 16.384)
-    shifts = np.arange(0.0, 0.03, 0.0001)
+def turned(program, seconds: float = 20.0, **settings):
+    """(truth, telemetry) of a craft that a hand turns."""
+    craft, rows = flown(seconds, truth=True, program=program, **QUIET, **settings)
+    return craft.truth()[: len(rows["gyro"])], rows
+
+
+def delay_of(truth, actual, seen):
+    """By the best shift, s."""
+    shifts, window = np.arange(0.0, 0.03, 0.0001), slice(2500, len(truth) - 100)
+    past = truth["time_s"][window]
     errors = [
-        np.square(
-            np.interp(truth["time_s"][window] - shift, truth["time_s"], truth["rate_rad_s"][:, 0])
-            - seen
-        ).sum()
+        np.square(np.interp(past - shift, truth["time_s"], actual) - seen[window]).sum()
         for shift in shifts
     ]
-    return shifts[int(np.argmin(errors))], craft
+    return shifts[int(np.argmin(errors))]
+
+
+def gyro_delay_of(truth, rows):
+    return delay_of(truth, truth["rate_rad_s"][:, 0], np.radians(rows["gyro"][:, 0] / 16.384))
 
 
 @pytest.fixture(scope="module")
 def turning(tmp_path_factory):
-    path = tmp_path_factory.mktemp("programme") / "turning.toml"
-    path.write_text(
-        'name = "turning"\n[[segment]]\nkind = "hand"\nseconds = 3\n'
-        '[[segment]]\nkind = "hand"\nseconds = 30\n'
-        '[[segment.excite]]\naxis = "roll"\nshape = "sine"\namplitude = 40\nperiod_s = 1.0\n'
-    )
-    return str(path)
+    sine = {"axis": "roll", "shape": "sine", "amplitude": 40, "period_s": 1.0}
+    segments = {"kind": "hand", "seconds": 3}, {"kind": "hand", "seconds": 30, "excite": [sine]}
+    return programme(tmp_path_factory.mktemp("programme"), *segments)
 
 
 DATA_SHEET = {  # DLPF_CFG: gyro Hz, ms, accelerometer Hz, ms
@@ -64,32 +61,25 @@ def test_the_low_pass_settings_are_the_data_sheets():
 @pytest.mark.parametrize("setting", sorted(DATA_SHEET))
 def test_the_accelerometer_is_as_late_as_the_data_sheet_says(turning, setting):
     sensor = Sensor(dlpf=setting, phase_s=0.0007, clock_ppm=0.0, shake=(0.0, 0.0, 0.0))
-    craft, rows = flown(20.0, truth=True, program=turning, sensor=sensor, **QUIET)
-    truth = craft.truth()[: len(rows["gyro"])]
+    truth, rows = turned(turning, sensor=sensor)
     w, x, y, z = truth["quaternion"].T
     sideways = 2 * (y * z + w * x)  # gravity's share along the body's y, g
-    window = slice(2500, len(truth) - 100)
-    shifts = np.arange(0.0, 0.03, 0.0001)
-    seen = rows["accelerometer"][window, 1] / 4096
-    past = truth["time_s"][window]
-    errors = [
-        np.square(np.interp(past - shift, truth["time_s"], sideways) - seen).sum()
-        for shift in shifts
-    ]
     age_s = truth["sensor_age_s"][-1]
     gyro_ms, accel_ms = DATA_SHEET[setting][1], DATA_SHEET[setting][3]
     gyro_lag_s = min(1 / (2 * math.pi * DATA_SHEET[setting][0]), gyro_ms * 1e-3)
     expected = age_s + gyro_lag_s + (accel_ms - gyro_ms) * 1e-3
-    assert shifts[int(np.argmin(errors))] == pytest.approx(expected, abs=0.2e-3)
+    seen = rows["accelerometer"][:, 1] / 4096
+    assert delay_of(truth, sideways, seen) == pytest.approx(expected, abs=0.2e-3)
 
 
 @pytest.mark.parametrize("setting", sorted(DLPF))
 def test_the_data_sheets_delay_plus_bus_plus_wait_comes_out(turning, setting):
     sensor = Sensor(dlpf=setting, phase_s=0.0007, clock_ppm=0.0, shake=(0.0, 0.0, 0.0))
-    delay, craft = measured_delay_s(program=turning, sensor=sensor)
+    truth, rows = turned(turning, sensor=sensor)
+    delay = gyro_delay_of(truth, rows)
     bandwidth_hz, data_sheet_s = DATA_SHEET[setting][0], DATA_SHEET[setting][1] * 1e-3
     lag = min(1 / (2 * math.pi * bandwidth_hz), data_sheet_s)
-    age = craft.truth()["sensor_age_s"][-1]
+    age = truth["sensor_age_s"][-1]
     wait = age + lag - data_sheet_s - 0.4e-3
     assert 0 <= wait <= 2e-3
     assert delay == pytest.approx(data_sheet_s + 0.4e-3 + wait, abs=0.3e-3)
@@ -97,29 +87,15 @@ def test_the_data_sheets_delay_plus_bus_plus_wait_comes_out(turning, setting):
 
 def test_a_total_delay_of_the_thesis_s_eight_samples_can_be_set(turning):
     sensor = Sensor(dlpf=2, delay_s=0.016, clock_ppm=30.0, shake=(0.0, 0.0, 0.0))
-    delay, _ = measured_delay_s(program=turning, sensor=sensor, seconds=33.0)
+    delay = gyro_delay_of(*turned(turning, seconds=33.0, sensor=sensor))
     assert delay == pytest.approx(0.016, abs=1.1e-3)  # the wait for the loop is 0..2 ms
 
 
-def delay_of(truth, actual, seen):
-    """By the best shift, s."""
-    shifts, window = np.arange(0.0, 0.03, 0.0001), slice(2500, len(truth) - 100)
-    past = truth["time_s"][window]
-    errors = [
-        np.square(np.interp(past - shift, truth["time_s"], actual) - seen[window]).sum()
-        for shift in shifts
-    ]
-    return shifts[int(np.argmin(errors))]
-
-
 def test_todays_estimator_is_as_late_as_the_filtered_gyro_that_it_turns_by(turning):
-    craft, rows = flown(
-        20.0, truth=True, program=turning, craft="crazyflie21", plant="reduced", **QUIET
-    )
-    truth = craft.truth()[: len(rows["gyro"])]
+    truth, rows = turned(turning, craft="crazyflie21", plant="reduced")
     w, x, y, z = truth["quaternion"].T
     roll = np.arctan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    gyro = delay_of(truth, truth["rate_rad_s"][:, 0], np.radians(rows["gyro"][:, 0] / 16.384))
+    gyro = gyro_delay_of(truth, rows)
     angle = delay_of(truth, roll, np.radians(rows["angles"][:, 0] / 100.0))
     assert gyro == pytest.approx(math.sqrt(2.0) / (2.0 * math.pi * 80.0), abs=0.6e-3)
     # angles are new on every second row: half a row later on average
@@ -128,19 +104,18 @@ def test_todays_estimator_is_as_late_as_the_filtered_gyro_that_it_turns_by(turni
 
 def test_the_faithful_sensor_is_about_3_3_ms_old_on_average():
     delays = []
-    for seed in range(20):
-        craft = StandIn(StandInSettings(seed=seed, truth=True, program="wait"))
-        craft.advance(1.0)
+    for seed in range(40):
+        craft = craft_after(1.0, seed=seed, truth=True, program="wait")
         delays.append(craft.truth()["sensor_age_s"].mean() + 1 / (2 * math.pi * 188))
-    assert np.mean(delays) == pytest.approx(3.3e-3, abs=0.3e-3)
+    stated = present_effects(StandInSettings())["dead_time"]["delay_s"]
+    assert np.mean(delays) == pytest.approx(stated, abs=0.25e-3)
     assert min(delays) > 2.2e-3
     assert max(delays) < 4.4e-3
 
 
 def test_the_sensors_clock_is_not_the_loops():
     sensor = Sensor(phase_s=0.0, clock_ppm=200.0)
-    craft = StandIn(StandInSettings(truth=True, program="wait", sensor=sensor))
-    craft.advance(21.0)
+    craft = craft_after(21.0, truth=True, program="wait", sensor=sensor)
     age = craft.truth()["sensor_age_s"]
     assert age.max() - age.min() == pytest.approx(2e-3, rel=0.05)
     assert np.abs(np.diff(age)).max() > 1.9e-3  # now and then a sample is read twice

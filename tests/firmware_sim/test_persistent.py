@@ -15,12 +15,11 @@ from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.contents import contents_of
+from firmware_sim.contents import CLEAR, GET_STATE, STORE, contents_of, misc_answer
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp import Conversation
-from firmware_sim.persistent import CLEAR, GET_STATE, STORE, answer
 from support.crafts import ServedCraft, served, switched_off_and_on
-from support.waiting import PATIENCE_S
+from support.waiting import PATIENCE_S, until
 
 GAIN, STOCK = "pid_rate.roll_kp", 250.0
 MISC = b"\x2f"
@@ -60,13 +59,13 @@ def test_a_stored_gain_survives_a_power_cycle_and_a_cleared_one_does_not(craft):
         }
         assert {name.partition(".")[0] for name in persistent} == {"pid_rate", "pid_attitude"}
         param.set_value(GAIN, 200.0)
-        craft.wait_for(lambda: craft.craft.get_parameter(GAIN) == 200.0)
+        until(lambda: craft.craft.get_parameter(GAIN) == 200.0, "it has the gain")
         assert told(param.persistent_get_state, GAIN) == (False, STOCK, None)
         assert told(param.persistent_store, GAIN)
         assert told(param.persistent_get_state, GAIN) == (True, STOCK, 200.0)
         assert told(param.get_default_value, GAIN) == STOCK
         param.set_value("pid_rate.pitch_kp", 210.0)
-        craft.wait_for(lambda: craft.craft.get_parameter("pid_rate.pitch_kp") == 210.0)
+        until(lambda: craft.craft.get_parameter("pid_rate.pitch_kp") == 210.0, "the other gain")
     switched_off_and_on(craft)
     with SyncCrazyflie(craft.uri, cf=Crazyflie()) as connected:
         param = connected.cf.param
@@ -91,8 +90,8 @@ def test_firmware_built_to_run_in_software_has_no_memory_to_store_in():
     parameters = contents_of(craft).parameters
     number = [name for name, _ in parameters].index(GAIN)
     asked = struct.pack("<BH", STORE, number)
-    assert answer(craft, parameters, asked) == asked + bytes([errno.ENOENT])
-    state = answer(craft, parameters, struct.pack("<BH", GET_STATE, number))
+    assert misc_answer(craft, parameters, asked) == asked + bytes([errno.ENOENT])
+    state = misc_answer(craft, parameters, struct.pack("<BH", GET_STATE, number))
     assert state is not None
     assert state[3:] == struct.pack("<Bf", 0, STOCK)
 
@@ -118,7 +117,7 @@ def test_only_parameters_that_say_so_are_stored(number, command):
     craft = CRAFTS[12]
     parameters = contents_of(craft).parameters
     before = dict(craft.stored)
-    said = answer(craft, parameters, struct.pack("<BH", command, number))
+    said = misc_answer(craft, parameters, struct.pack("<BH", command, number))
     assert said is not None
     kept = number < len(parameters) and parameters[number][1] & 0x10
     if not kept:

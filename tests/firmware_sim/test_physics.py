@@ -1,4 +1,4 @@
-"""From settings, profiles and models to a craft: numbers kept, nonsense refused."""
+"""From settings, profiles and models to a craft: numbers kept, nonsense refused, effects told."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.catalogue import EFFECTS
-from firmware_sim.physics import realize
+from firmware_sim.physics import present_effects, realize
 from firmware_sim.settings import Loss, Sensor
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
@@ -103,3 +103,41 @@ def test_a_hidden_delay_is_the_same_in_any_company_and_order(first):
     ordered = {first: effects[first], **effects}
     craft, _ = flown(2.0, plant="reduced", truth=True, effects=ordered, loss=Loss(good_loss=0.0))
     assert craft.truth()["sensor_age_s"][100:] == pytest.approx(0.003, abs=1e-6)
+
+
+SIZES = {
+    "centre_of_gravity_offset": {"x_m": 5e-4, "y_m": 0.0},
+    "gyro_bias": {"x_dps": 1.0, "y_dps": 0.0, "z_dps": 0.5},
+    "accelerometer_bias": {"x_g": 0.0, "y_g": 0.0, "z_g": 0.02},
+    "imu_misalignment": {"roll_deg": 0.0, "pitch_deg": 2.0, "yaw_deg": 0.0},
+    "imu_lever_arm": {"x_m": 0.003, "y_m": 0.0, "z_m": 0.0},
+}
+LISTED = sorted(name for name, effect in EFFECTS.items() if effect.listed)
+
+
+def test_a_clean_craft_contains_nothing():
+    assert present_effects(StandInSettings(plant="reduced")) == {}
+
+
+@pytest.mark.parametrize("name", LISTED)
+def test_a_hidden_effect_is_present_with_its_size(name):
+    defaults = {key: default for key, (default, _) in EFFECTS[name].parameters.items()}
+    values = SIZES.get(name, defaults)
+    found = present_effects(StandInSettings(plant="reduced", effects={name: values}))
+    assert found == {name: pytest.approx(values, rel=1e-6, abs=1e-12)}
+
+
+def test_the_faithful_craft_always_contains_the_stated_six():
+    found = present_effects(StandInSettings())
+    assert set(found) == {
+        "battery_reading_lag",
+        "attitude_filter_lean",
+        "dead_time",
+        "inertia_coupling",
+        "rotor_gyroscopic_torque",
+        "rotor_acceleration_torque",
+        "supply_sag",
+    }
+    assert found["dead_time"]["delay_s"] == pytest.approx(3.3e-3, abs=0.05e-3)
+    assert found["battery_reading_lag"]["time_constant_s"] == pytest.approx(0.155, abs=0.01)
+    assert found["rotor_gyroscopic_torque"] == found["rotor_acceleration_torque"]

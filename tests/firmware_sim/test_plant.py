@@ -96,21 +96,18 @@ def test_a_craft_hovers_at_the_rotor_speed_its_thrust_curve_says(craft):
 
 
 @pytest.mark.parametrize(
-    ("rotor", "signs"), [(0, (0, -1, -1)), (1, (-1, 0, 1)), (2, (0, 1, -1)), (3, (1, 0, 1))]
+    ("craft", "signs"),
+    [
+        ("crazyflie1", [(0, -1, -1), (-1, 0, 1), (0, 1, -1), (1, 0, 1)]),
+        ("crazyflie21", [(-1, -1, -1), (-1, 1, 1), (1, 1, -1), (1, -1, 1)]),
+    ],
 )
-def test_each_rotor_of_the_plus_frame_turns_the_craft_the_stated_way(rotor, signs):
-    p, s = plant()
-    s["y"][0, 13 + rotor] = 250.0
-    assert np.sign(np.round(slopes(p, s)[10:13], 9)) == pytest.approx(signs)
-
-
-@pytest.mark.parametrize(
-    ("rotor", "signs"), [(0, (-1, -1, -1)), (1, (-1, 1, 1)), (2, (1, 1, -1)), (3, (1, -1, 1))]
-)
-def test_each_rotor_of_the_x_frame_turns_the_craft_the_stated_way(rotor, signs):
-    p, s = plant(craft="crazyflie21")
-    s["y"][0, 13 + rotor] = 250.0
-    assert np.sign(slopes(p, s)[10:13]) == pytest.approx(signs)
+def test_each_rotor_of_a_frame_turns_the_craft_the_stated_way(craft, signs):
+    for rotor in range(4):
+        p, s = plant(craft=craft)
+        s["y"][0, 13 + rotor] = 250.0
+        turned = np.sign(np.round(slopes(p, s)[10:13], 9))
+        assert turned == pytest.approx(signs[rotor]), rotor
 
 
 def test_the_thesis_model_accelerates_by_its_own_constants():

@@ -8,6 +8,7 @@ import pytest
 from firmware_sim.contents import contents_of
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp import Conversation
+from support.plant import craft_after
 
 HOVER_V = 2.32
 """Motor voltage at the hover of the measured craft."""
@@ -59,10 +60,9 @@ def test_without_a_release_the_curve_is_the_one_that_gains_are_designed_with():
 
 def test_a_brushless_gets_its_voltage_compensated_from_december_2025_on():
     for release, compensated in (("2025.09", False), ("2025.12", True)):
-        craft = StandIn(
-            StandInSettings(craft="brushless", plant="reduced", program="hover", release=release)
+        craft = craft_after(
+            8.0, craft="brushless", plant="reduced", program="hover", release=release
         )
-        craft.advance(8.0)
         said = craft.state()
         assert (said.motors[0] == pytest.approx(said.thrust, rel=0.1)) is not compensated
 
@@ -90,8 +90,7 @@ def test_a_release_that_never_was_is_refused():
     ],
 )
 def test_a_brushed_motor_gets_eight_bits_of_the_sixteen_that_are_logged(craft, plant, steps):
-    stand_in = StandIn(StandInSettings(craft=craft, plant=plant, program="hover", truth=True))
-    stand_in.advance(6.0)
+    stand_in = craft_after(6.0, craft=craft, plant=plant, program="hover", truth=True)
     duty = stand_in.truth()["duty"][-1000:]
     told = stand_in._history["pwm"]
     assert len(set(told[:, 0] % 256)) > 50
@@ -103,10 +102,9 @@ def test_a_brushed_motor_gets_eight_bits_of_the_sixteen_that_are_logged(craft, p
 
 
 def test_the_log_names_where_it_is_how_fast_and_how_sure_its_filter_is():
-    craft = StandIn(
-        StandInSettings(craft="crazyflie21", program="wait", flow_deck=True, protocol=12, seed=2)
+    craft = craft_after(
+        4.0, craft="crazyflie21", program="wait", flow_deck=True, protocol=12, seed=2
     )
-    craft.advance(4.0)
     table = contents_of(craft)
     values = {name: value(craft.state()) for name, _, value in table.variables}
     kinds = {name: kind for name, kind, _ in table.variables}

@@ -11,68 +11,46 @@ import pytest
 from bench.sealed.flights import CARRY
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.settings import Loss
+from support.plant import craft_after, programme, tilt_deg
 
 STOCK = {
     f"{loop}.{axis}_{gain}": value
     for loop, gain, value in (("pid_rate", "kp", 70.0), ("pid_attitude", "kp", 3.5))
     for axis in ("roll", "pitch")
 }
-PROGRAMME = """
-name = "there and back"
-[[segment]]
-kind = "rest"
-seconds = 3
-[[segment]]
-kind = "fly"
-seconds = 9
-[[segment.excite]]
-axis = "roll"
-shape = "doublet"
-amplitude = 9
-period_s = 1.5
-start_s = 3
-end_s = 6
-[[segment.excite]]
-axis = "pitch"
-shape = "doublet"
-amplitude = 9
-period_s = 1.5
-start_s = 5
-end_s = 8
-[[segment]]
-kind = "fly"
-seconds = 5
-height_m = 0
-[[segment]]
-kind = "rest"
-seconds = 1
-"""
+DOUBLET = {"shape": "doublet", "amplitude": 9, "period_s": 1.5}
+THERE_AND_BACK = (
+    {"kind": "rest", "seconds": 3},
+    {
+        "kind": "fly",
+        "seconds": 9,
+        "excite": [
+            {"axis": "roll", **DOUBLET, "start_s": 3, "end_s": 6},
+            {"axis": "pitch", **DOUBLET, "start_s": 5, "end_s": 8},
+        ],
+    },
+    {"kind": "fly", "seconds": 5, "height_m": 0},
+    {"kind": "rest", "seconds": 1},
+)
 
 
 @pytest.fixture(scope="module")
-def programme(tmp_path_factory):
-    path = tmp_path_factory.mktemp("programme") / "there_and_back.toml"
-    path.write_text(PROGRAMME)
-    return str(path)
+def there_and_back(tmp_path_factory):
+    return programme(tmp_path_factory.mktemp("programme"), *THERE_AND_BACK)
 
 
 @pytest.mark.parametrize("plant", ["faithful", "reduced"])
 @pytest.mark.parametrize("craft", ["crazyflie1", "crazyflie21", "brushless", "thesis"])
-def test_ten_flights_go_up_stay_upright_and_come_down(programme, craft, plant):
+def test_ten_flights_go_up_stay_upright_and_come_down(there_and_back, craft, plant):
     for seed in range(10):
-        stand_in = StandIn(
-            StandInSettings(
-                craft=craft, plant=plant, seed=seed, program=programme, truth=True, copies=1
-            )
+        stand_in = craft_after(
+            18.0, craft=craft, plant=plant, seed=seed, program=there_and_back, truth=True, copies=1
         )
-        stand_in.advance(18.0)
         truth = stand_in.truth()
-        _, x, y, _ = truth["quaternion"].T
-        tilt_deg = np.degrees(np.arccos(1 - 2 * (x * x + y * y)))
         height = truth["position_m"][:, 2]
         assert height.max() == pytest.approx(0.85, abs=0.15), seed
         assert height[-1] < 0.001, seed
-        assert tilt_deg.max() < 25, seed
+        assert tilt_deg(truth).max() < 25, seed
         assert np.abs(truth["position_m"][:, :2]).max() < 2.0, seed
         flying = (truth["time_s"] > 4.0) & (truth["time_s"] < 5.8)
         assert np.abs(truth["rate_rad_s"][flying]).max() < 1.5, seed
@@ -101,8 +79,7 @@ def test_a_load_that_touches_the_ground_in_a_dive_comes_up_below_its_craft():
     stand_in.advance(60.0)
     truth = stand_in.truth()
     assert np.isfinite(truth["position_m"]).all()
-    _, x, y, _ = truth["quaternion"].T
-    assert np.degrees(np.arccos(1 - 2 * (x * x + y * y))).max() < 60
+    assert tilt_deg(truth).max() < 60
 
 
 DOCUMENTATION = Path(__file__).parents[2] / "docs" / "stand_in.md"
@@ -146,17 +123,12 @@ def test_with_the_gains_of_the_documentation_every_effect_flies_at_its_largest(p
     block = DOCUMENTATION.read_text().split("```toml\n")[1].split("```")[0]
     gains = tomllib.loads(block)
     for name, parameters in LARGEST:
-        stand_in = StandIn(
-            StandInSettings(
-                plant=plant, effects={name: parameters}, gains=gains, truth=True, copies=1
-            )
+        stand_in = craft_after(
+            30.0, plant=plant, effects={name: parameters}, gains=gains, truth=True, copies=1
         )
-        stand_in.advance(30.0)
         truth = stand_in.truth()[4000:]
-        _, x, y, _ = truth["quaternion"].T
-        tilt_deg = np.degrees(np.arccos(1 - 2 * (x * x + y * y)))
         case = (name, parameters)
-        assert tilt_deg.max() < 30, case
+        assert tilt_deg(truth).max() < 30, case
         assert np.abs(truth["rate_rad_s"][:, :2]).max() < 4.0, case
         assert np.abs(truth["position_m"][:, :2]).max() < 10.0, case
         assert truth["position_m"][:, 2].min() > 0.3, case
@@ -173,7 +145,6 @@ def test_with_the_gains_of_the_documentation_every_effect_flies_at_its_largest(p
     ],
 )
 def test_a_craft_without_margin_oscillates_and_one_with_margin_does_not(settings, steady):
-    craft = StandIn(StandInSettings(program="hover", truth=True, copies=1, **settings))
-    craft.advance(14.0)
+    craft = craft_after(14.0, program="hover", truth=True, copies=1, **settings)
     worst_rad_s = float(np.abs(craft.truth()["rate_rad_s"][3500:]).max())
     assert worst_rad_s < 1.5 if steady else worst_rad_s > 3.0

@@ -1,4 +1,4 @@
-"""The firmware's loops, and each quirk of the release by its effect."""
+"""What the firmware's loops do at their limits, where ``test_firmware_replay.py`` does not fly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from firmware_sim import stabilizer
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.physics import firmware, parameters
 from firmware_sim.settings import Quirks, Sensor
-from support.plant import callable_piece, flown, rows_of
+from support.plant import callable_piece, craft_after, programme, rows_of
 
 angle_loops = callable_piece(stabilizer.angle_loops)
 rate_loop = callable_piece(stabilizer.rate_loop)
@@ -20,40 +20,11 @@ stabilize = callable_piece(stabilizer.stabilize)
 NO_QUIRKS = Quirks(attitude_dt=False, clamp_macro=False, lower_limit=False, negate=False)
 
 
-def loops(quirks: Quirks = NO_QUIRKS, craft: str = "crazyflie1", **gains: float) -> Any:
-    settings = StandInSettings(quirks=quirks, craft=craft, gains=gains)
+def loops(quirks: Quirks = NO_QUIRKS, **gains: float) -> Any:
+    settings = StandInSettings(quirks=quirks, gains=gains)
     fw, p = firmware(settings), parameters(settings)
     fw["thrust"] = 40000.0
     return p, fw
-
-
-def test_stock_gains_make_the_stated_output():
-    _, fw = loops()
-    fw["rate_desired"] = 10.0, 0.0, 0.0
-    assert rate_loop(fw[0], 0, 0.0) == 700.0
-    assert rate_loop(fw[0], 1, 5.0) == -350.0
-
-
-def test_without_the_quirk_the_angle_loop_integrates_over_its_real_period():
-    integrals = []
-    for quirks in (NO_QUIRKS, Quirks()):
-        _, fw = loops(quirks)
-        fw["setpoint"] = 5.0, 0.0, 0.0
-        for _ in range(100):
-            angle_loops(fw[0])
-        integrals.append(fw["angle_integral"][0, 0])
-    assert integrals == pytest.approx([100 * 5 * 0.004, 100 * 5 * 0.002])
-
-
-def test_the_clamp_macro_makes_the_yaw_integral_three_times_as_fast():
-    integrals = []
-    for quirks in (NO_QUIRKS, Quirks()):
-        _, fw = loops(quirks)
-        fw["rate_desired"] = 0.0, 0.0, 10.0
-        for _ in range(50):
-            rate_loop(fw[0], 2, 0.0)
-        integrals.append(fw["rate_integral"][0, 2])
-    assert integrals == pytest.approx([50 * 10 * 0.002, 3 * 50 * 10 * 0.002])
 
 
 def test_the_clamp_macro_takes_the_derivative_away():
@@ -106,25 +77,6 @@ def test_the_most_negative_yaw_output_keeps_its_sign():
     assert differences[0] > 0 > differences[1]
 
 
-@pytest.mark.parametrize(
-    ("craft", "output", "signs"),
-    [
-        ("crazyflie1", (100.0, 0.0, 0.0), (0, -1, 0, 1)),
-        ("crazyflie1", (0.0, 100.0, 0.0), (1, 0, -1, 0)),
-        ("crazyflie1", (0.0, 0.0, 100.0), (-1, 1, -1, 1)),
-        ("crazyflie21", (100.0, 0.0, 0.0), (-1, -1, 1, 1)),
-        ("crazyflie21", (0.0, 100.0, 0.0), (1, -1, -1, 1)),
-        ("crazyflie21", (0.0, 0.0, 100.0), (-1, 1, -1, 1)),
-    ],
-)
-def test_the_mixer_of_each_frame(craft, output, signs):
-    p, fw = loops(craft=craft)
-    fw["rate_desired"] = output
-    stabilize(p[0], fw[0])
-    rest = 40000 >> 7
-    assert np.sign(fw["compare"][0] - rest).tolist() == list(signs)
-
-
 def test_motor_outputs_clamp_one_by_one():
     p, fw = loops()
     fw["thrust"] = 60000.0
@@ -145,23 +97,8 @@ def test_zero_thrust_stops_the_motors_and_forgets_the_integrals():
     assert not fw["rate_integral"].any()
 
 
-def test_a_quirk_switch_changes_the_flight():
-    flights = [
-        flown(12.0, program="excite", quirks=quirks)[1]["gyro"]
-        for quirks in (
-            Quirks(),
-            Quirks(attitude_dt=False),
-            Quirks(clamp_macro=False),
-        )
-    ]
-    for other in flights[1:]:
-        shorter = min(len(flights[0]), len(other))
-        assert (flights[0][:shorter] != other[:shorter]).any()
-
-
 def waiting() -> StandIn:
-    craft = StandIn(StandInSettings(program="wait", plant="reduced"))
-    craft.advance(4.0)
+    craft = craft_after(4.0, program="wait", plant="reduced")
     return craft
 
 
@@ -189,8 +126,7 @@ def test_thrust_has_a_floor_and_a_ceiling(asked, given):
 
 
 def test_a_client_that_stays_silent_gives_the_craft_back_to_the_pilot():
-    craft = StandIn(StandInSettings(program="hover", plant="reduced", resume_s=3.0))
-    craft.advance(8.0)
+    craft = craft_after(8.0, program="hover", plant="reduced", resume_s=3.0)
     craft.command(0.0, 0.0, 0.0, 0)
     craft.advance(10.0)
     assert craft.state().position_m[2] < 0.1
@@ -228,13 +164,9 @@ def test_the_gyro_bias_is_found_once_at_start_up_and_kept_out_of_the_loops():
 
 
 def test_a_craft_that_is_moved_finds_no_bias(tmp_path):
-    path = tmp_path / "shaky.toml"
-    path.write_text(
-        'name = "shaky"\n[[segment]]\nkind = "hand"\nseconds = 20\n'
-        '[[segment.excite]]\naxis = "roll"\nshape = "sine"\namplitude = 5\nend_s = 6\n'
-    )
-    craft = StandIn(StandInSettings(program=str(path)))
-    craft.advance(5.5)
+    sine = {"axis": "roll", "shape": "sine", "amplitude": 5, "end_s": 6}
+    shaky = programme(tmp_path, {"kind": "hand", "seconds": 20, "excite": [sine]})
+    craft = craft_after(5.5, program=shaky)
     assert not craft.state().calibrated
     craft.advance(8.0)
     assert craft.state().calibrated

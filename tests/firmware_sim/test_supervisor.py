@@ -5,22 +5,20 @@ from __future__ import annotations
 import pytest
 
 from firmware_sim.contents import supervisor_bits
-from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.craft import StandIn
 from firmware_sim.crtp import Conversation
 from firmware_sim.supervisor import CRASHED, FLYING, LANDED, LOCKED, NOT_PASSED, PASSED, READY
+from support.plant import craft_after
 
 HOVER = 34000
 ARMED, CAN_ARM, CAN_FLY, TUMBLED, IS_LOCKED = 2, 1, 8, 32, 64
 
 
 def ready(**settings) -> StandIn:
-    craft = StandIn(
-        StandInSettings(
-            **{"craft": "brushless", "program": "wait", "resume_s": 1e6, "plant": "reduced"}
-            | settings
-        )
+    craft = craft_after(
+        3.0,
+        **{"craft": "brushless", "program": "wait", "resume_s": 1e6, "plant": "reduced"} | settings,
     )
-    craft.advance(3.0)
     return craft
 
 
@@ -108,8 +106,7 @@ def test_a_craft_on_its_back_cannot_be_armed_until_it_is_set_upright():
 
 @pytest.mark.parametrize("kind", ["crazyflie21", "brushless"])
 def test_nothing_is_armed_before_the_gyros_bias_has_been_found(kind):
-    craft = StandIn(StandInSettings(craft=kind, program="wait", resume_s=1e6, plant="reduced"))
-    craft.advance(1.0)
+    craft = craft_after(1.0, craft=kind, program="wait", resume_s=1e6, plant="reduced")
     assert not craft.state().calibrated
     assert supervisor_bits(craft.state()) & (CAN_ARM | ARMED | CAN_FLY) == 0
     assert not craft.arm(True)

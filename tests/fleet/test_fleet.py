@@ -16,8 +16,8 @@ from groundstation.cli.app import app
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.fleet.search import CraftFlights, search_craft
-from groundstation.identification.body.fit import fit_body
-from groundstation.identification.division import stretches_of
+from groundstation.identification.body import fit_body
+from groundstation.identification.flight import stretches_of
 from groundstation.identification.runs import bridged
 from groundstation.recording.formats import open_recording
 from groundstation.recording.mcap_file import write_mcap

@@ -8,8 +8,8 @@ import pytest
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
-from groundstation.identification.arx.workflow import identify_arx
-from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.arx import identify_arx
+from groundstation.identification.body import identify_body
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import runs_of
 from support.flights import recorded
@@ -66,21 +66,20 @@ def test_holes_in_the_inputs(good, kind, column):
         identify(kind, with_column(good[kind], column, slice(5000, 5010), np.nan))
 
 
-@pytest.mark.parametrize("kind", ["motor", "body"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_battery_that_is_nowhere_is_named_with_what_gives_one(kind, good):
     run = with_column(good[kind], "supply_v", slice(None), np.nan)
     with pytest.raises(BadInputError, match=r"the battery's voltage is nowhere in it.*--supply-v"):
         identify(kind, run)
 
 
-def test_holes_in_the_gyro(good):
-    with pytest.raises(BadInputError, match=r"gyro is missing in 1 of \d+ samples"):
-        identify("body", with_column(good["body"], "gyro", 5000, np.nan))
-
-
-def test_holes_in_the_angles(good):
-    with pytest.raises(BadInputError, match="attitude is not in every row"):
-        identify("arx", with_column(good["arx"], "attitude", 5000, np.nan))
+@pytest.mark.parametrize(
+    ("kind", "column", "text"),
+    [("body", "gyro", r"missing in 1 of \d+"), ("arx", "attitude", "is not in every row")],
+)
+def test_holes_in_gyro_and_angles(good, kind, column, text):
+    with pytest.raises(BadInputError, match=f"{column} {text}|{column} is {text}"):
+        identify(kind, with_column(good[kind], column, 5000, np.nan))
 
 
 def test_holes_in_the_bench_readings_are_readings_that_are_not_there(good):
@@ -104,17 +103,18 @@ def test_constant_input(good, kind, text):
         identify(kind, run)
 
 
-@pytest.mark.parametrize("kind", ["body", "arx"])
-def test_saturated_throughout(good, kind):
-    run = with_column(good[kind], "duty", (slice(None), 1), 1.0)
-    with pytest.raises(BadInputError, match=r"saturated in more than half.*less thrust"):
-        identify(kind, run)
-
-
-def test_a_motor_that_is_saturated_throughout_has_a_constant_voltage(good):
-    run = with_column(good["motor"], "duty", slice(None), 1.0)
-    with pytest.raises(BadInputError, match="voltage is constant"):
-        identify("motor", run)
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("motor", "voltage is constant"),
+        ("body", r"saturated in more than half.*less thrust"),
+        ("arx", r"saturated in more than half.*less thrust"),
+    ],
+)
+def test_saturated_throughout(good, kind, text):
+    rows = slice(None) if kind == "motor" else (slice(None), 1)
+    with pytest.raises(BadInputError, match=text):
+        identify(kind, with_column(good[kind], "duty", rows, 1.0))
 
 
 def test_torque_that_does_not_turn_the_craft(good):
@@ -154,3 +154,5 @@ def test_effects_that_a_fit_cannot_know(good):
         identify("motor", good["motor"], effects=("ground_effect",))
     with pytest.raises(BadInputError, match=r"shows in roll, pitch, yaw.*groundstation discrep"):
         identify("body", good["body"], effects=("gyro_bias",))
+    with pytest.raises(BadInputError, match=r"the body fit knows .*dead_time"):
+        identify("body", good["body"], effects=("ground_curse",))

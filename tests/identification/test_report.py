@@ -8,9 +8,9 @@ import pytest
 
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.arx.workflow import identify_arx
-from groundstation.identification.body.workflow import identify_body
-from groundstation.identification.fit_record import liveliest
+from groundstation.identification.arx import identify_arx
+from groundstation.identification.body import identify_body
+from groundstation.identification.estimate import liveliest
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.report import report
 from groundstation.identification.runs import runs_of

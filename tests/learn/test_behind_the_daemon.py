@@ -3,20 +3,18 @@ pseudo-terminal."""
 
 import contextlib
 import json
-import os
 import signal
-import subprocess
-import sys
 
 import pytest
 
-from groundstation.cli.learn_flights import DaemonPlace
+from groundstation.cli.learn import DaemonPlace
 from groundstation.errors import GroundStationError
 from groundstation.recording.formats import open_recording
 from groundstation.service.client import Pilot, ask
-from support.daemons import COMMAND, Daemon, groundstation, require_failure
-from support.learning import begun, planned
-from support.programs import LONGEST_S, Program, free_port
+from support.commands import Beside, connected, software_craft
+from support.daemons import Daemon, groundstation, require_failure
+from support.findings import begun, planned
+from support.programs import LONGEST_S, free_port
 from support.waiting import in_real_time, until
 
 DECK = "flow_deck = true"
@@ -24,33 +22,24 @@ CRAFT = 'plant = "reduced"\ncraft = "crazyflie21"\nprogram = "wait"\nseed = 3\n'
 GAIN, STOCK = "pid_rate.roll_kp", 250.0
 
 
-def connected(status):
-    command = status["command"]
-    streams = status["link"]["rate_hz"] > 400
-    return streams and command is not None and command["state"] == "connected"
+def streams(status):
+    return status["link"]["rate_hz"] > 400 and connected(status)
 
 
 @pytest.fixture
 def station(tmp_path):
     """station(): a craft that has just been switched on, in a process of its own, and a daemon.
     more: its settings besides."""
-    name, settings, port = tmp_path / "craft", tmp_path / "craft.toml", free_port()
+    name, port = tmp_path / "craft", free_port()
+    flown = ("--serial", f"pty:{name}", "--crtp", f"127.0.0.1:{port}")
 
     @contextlib.contextmanager
     def begin(more=DECK):
-        settings.write_text(f"{CRAFT}{more}\n")
-        with Program(
-            [
-                sys.executable, "-m", "firmware_sim", "--settings", settings,
-                "--serial", f"pty:{name}", "--crtp", f"127.0.0.1:{port}",
-            ],
-            stdout=subprocess.PIPE,
-            text=True,
-        ) as craft:  # fmt: skip
+        with software_craft(tmp_path, f"{CRAFT}{more}\n", *flown) as craft:
             until(name.exists, "the pseudo-terminal is there")
             reached = ("--link", f"serial:{name}", "--command", f"udp://127.0.0.1:{port}")
             with Daemon(tmp_path, *reached, "--recordings", "sessions") as daemon:
-                daemon.status_when(connected, "the craft is there")
+                daemon.status_when(streams, "the craft is there")
                 yield daemon, craft
         name.unlink(missing_ok=True)
 
@@ -62,13 +51,7 @@ def journal(folder):
 
 
 def learn(folder, daemon):
-    return Program(
-        [COMMAND, "learn", "--yes", "-o", folder],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "NO_COLOR": "1", "GROUNDSTATION_SOCKET": str(daemon.socket)},
-    )
+    return Beside(daemon).begun("learn", "--yes", "-o", folder)
 
 
 @contextlib.contextmanager
@@ -87,8 +70,7 @@ def learning(folder, daemon):
 
 def programmes(daemon):
     """How many have begun."""
-    events = ask(daemon.socket, "GET", "/events")
-    return sum(event["text"] == "pid fly programme" for event in events)
+    return Beside(daemon).events("mark").count("pid fly programme")
 
 
 def require_kept(folder, cut):
@@ -252,11 +234,14 @@ def test_gains_that_flew_better_are_written_and_stored(station, monkeypatch):
     assert f"stored     {GAIN} 180" in shown
 
 
-def test_undo_writes_the_former_gains_to_the_craft_once_and_clears_stored_ones(station, tmp_path):
+@pytest.mark.parametrize("noted", ["written: better", "being written"])
+def test_undo_writes_the_former_gains_to_the_craft_once_and_clears_stored_ones(
+    station, tmp_path, noted
+):
     folder = tmp_path / "learnt"
     with station() as (daemon, _):
         begun(folder, "daemon", "plan", identity(daemon))
-        written = {**journal(folder), "gains": "written: better", "former": {GAIN: STOCK}}
+        written = {**journal(folder), "gains": noted, "former": {GAIN: STOCK}}
         (folder / "learn.json").write_text(json.dumps(written))
         with Pilot(daemon.socket, "learn") as pilot:
             pilot.write({GAIN: 180.0})
@@ -270,4 +255,4 @@ def test_undo_writes_the_former_gains_to_the_craft_once_and_clears_stored_ones(s
         assert ask(daemon.socket, "GET", "/command/parameters")["values"][GAIN] == STOCK
         again = groundstation(*undo, socket_path=daemon.socket)
     assert "nothing to put back" in require_failure(again)
-    assert journal(folder)["gains"] == "put back by --undo; they were written: better"
+    assert journal(folder)["gains"] == f"put back by --undo; they were {noted}"

@@ -1,19 +1,17 @@
 """``learn`` of a craft whose log is the link: cflib over UDP carries telemetry and commands."""
 
-import contextlib
 import json
-import os
 import signal
-import subprocess
-import sys
+from functools import partial
 
 import pytest
 
 from groundstation.control.firmware_loop import load_gains
 from groundstation.service.client import ask
-from support.daemons import COMMAND, Daemon
-from support.learning import begun
-from support.programs import LONGEST_S, Program, free_port
+from support.commands import Beside, connected, software_craft
+from support.daemons import Daemon
+from support.findings import begun
+from support.programs import LONGEST_S, free_port
 from support.waiting import in_real_time, until
 
 CRAFT = 'plant = "reduced"\ncraft = "crazyflie21"\nprogram = "wait"\nflow_deck = true\nseed = 3\n'
@@ -31,36 +29,16 @@ BETTER = {
 @pytest.fixture
 def craft(tmp_path):
     """That has just been switched on, and where it is heard."""
-    settings, uri = tmp_path / "craft.toml", f"127.0.0.1:{free_port()}"
-    settings.write_text(CRAFT)
-    with Program(
-        [sys.executable, "-m", "firmware_sim", "--settings", settings, "--crtp", uri],
-        stdout=subprocess.DEVNULL,
-    ) as running:
+    uri = f"127.0.0.1:{free_port()}"
+    with software_craft(tmp_path, CRAFT, "--crtp", uri) as running:
         yield running, uri
 
 
 @pytest.fixture
 def daemon(craft, tmp_path):
     with Daemon(tmp_path, "--link", f"udp://{craft[1]}", "--recordings", "sessions") as running:
-        running.status_when(
-            lambda status: status["command"] and status["command"]["state"] == "connected",
-            "the craft is there",
-        )
+        running.status_when(connected, "the craft is there")
         yield running
-
-
-@contextlib.contextmanager
-def learn(daemon, folder, *options):
-    state = {"GROUNDSTATION_SOCKET": str(daemon.socket), "XDG_STATE_HOME": str(folder.parent)}
-    with Program(
-        [COMMAND, "learn", "--yes", "-o", folder, *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "NO_COLOR": "1", **state},
-    ) as program:
-        yield program
 
 
 @pytest.mark.parametrize("ends", ["killed", "not heard any more"])
@@ -73,21 +51,23 @@ def test_gains_of_which_a_flight_was_cut_short_fly_again_are_written_and_put_bac
     lines = [f'"{name}" = {value}' for name, value in BETTER.items()]
     (folder / "gains.toml").write_text("\n".join(['firmware = "2.x"', *lines]))
 
+    beside = Beside(daemon)
+    learn = partial(beside.begun, "learn", "--yes", "-o", folder)
+
     def of_the_craft():
-        values = ask(daemon.socket, "GET", "/command/parameters")["values"]
-        return {name: value for name, value in values.items() if name.startswith("pid_")}
+        return {k: value for k, value in beside.gains().items() if k.startswith("pid_")}
 
     def programmes():
-        events = ask(daemon.socket, "GET", "/events")
-        return sum(event["text"] == "pid fly programme" for event in events)
+        return beside.events("mark").count("pid fly programme")
 
     def what_came_of_it():
         return json.loads((folder / "learn.json").read_text())["gains"]
 
     before = of_the_craft()
-    with learn(daemon, folder) as cut:
+    with learn() as cut:
         with in_real_time():
-            until(lambda: programmes() == 2, "the designed gains fly")
+            until(lambda: programmes() == 2 or cut.poll() is not None, "it flies", LONGEST_S)
+            assert cut.poll() is None, cut.communicate()[1]
         if ends == "killed":
             cut.kill()
             cut.communicate(timeout=LONGEST_S)
@@ -97,13 +77,10 @@ def test_gains_of_which_a_flight_was_cut_short_fly_again_are_written_and_put_bac
             craft[0].send_signal(signal.SIGCONT)
             assert cut.returncode == 1
             assert "flight cut short" in error
-            daemon.status_when(
-                lambda status: status["command"] and status["command"]["state"] == "connected",
-                "the craft is heard again",
-            )
+            daemon.status_when(connected, "the craft is heard again")
     assert what_came_of_it() == ""
     until(lambda: of_the_craft() == before, "the daemon has put the former gains back")
-    with learn(daemon, folder) as learns:
+    with learn() as learns:
         _, error = learns.communicate(timeout=LONGEST_S)
     assert learns.returncode == 0, error
     assert what_came_of_it().startswith("written: ")
@@ -112,7 +89,7 @@ def test_gains_of_which_a_flight_was_cut_short_fly_again_are_written_and_put_bac
     assert written.items() <= BETTER.items()
     kept = {name: written.get(name, before[name]) for name in BETTER}
     assert {name: of_the_craft()[name] for name in BETTER} == pytest.approx(kept, rel=1e-6)
-    with learn(daemon, folder, "--undo") as undoes:
+    with learn("--undo") as undoes:
         _, error = undoes.communicate(timeout=LONGEST_S)
     assert undoes.returncode == 0, error
     assert of_the_craft() == before

@@ -11,7 +11,7 @@ import pytest
 from groundstation.control.firmware_loop import load_gains
 from groundstation.recording.formats import open_recording
 from support.daemons import COMMAND, groundstation, in_process, require_failure
-from support.learning import PHASES, begun
+from support.findings import PHASES, begun
 from support.programs import Program
 from support.waiting import until
 

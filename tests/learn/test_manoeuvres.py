@@ -16,8 +16,15 @@ from groundstation.learn.planning import (
     library,
     require_limits,
 )
+from groundstation.learn.story import step_flight
 
 LIMITS = [Limits(), Limits(tilt_deg=5.0), Limits(reach_m=0.5, height_m=0.3)]
+
+
+@pytest.mark.parametrize("limits", LIMITS)
+def test_a_flight_of_steps_says_how_long_it_takes_where_its_place_is_held(limits):
+    (told,) = step_flight(limits).timeline()
+    assert told["seconds"] > len(step_flight(limits).setpoints()) * 0.01
 
 
 @pytest.mark.parametrize("limits", LIMITS)

@@ -115,7 +115,7 @@ class TestReplayOfSamples(MadeByTheFactory, FiniteLinkContract):
         return super().make(tmp_path)
 
 
-def test_a_link_is_added_by_one_row_and_one_file(tmp_path, monkeypatch):
+async def test_a_link_is_added_by_one_row_and_one_file(tmp_path, monkeypatch):
     from groundstation import links
     from groundstation.links.factory import LINKS, split_name
 
@@ -130,8 +130,6 @@ def test_a_link_is_added_by_one_row_and_one_file(tmp_path, monkeypatch):
     name = f"excerpt:{RECORDINGS / 'thesis_excerpt.csv'}"
     assert split_name(name)[0] == "excerpt"
 
-    async def rows():
-        async with make_link(name) as link:
-            return len(await link.read())
-
-    assert asyncio.run(rows()) == 25
+    async with make_link(name) as link:
+        found = len(await link.read())
+    assert found == 25

@@ -88,15 +88,12 @@ def test_a_craft_that_never_ends_a_line_is_heard_and_its_rows_come_on() -> None:
     assert max(map(len, said)) <= LINE_CHARACTERS
 
 
-def test_of_what_comes_faster_than_the_loop_takes_it_the_newest_is_taken() -> None:
-    async def session() -> None:
-        tell = newest_only(asyncio.get_running_loop(), taken.append)
-        for number in range(10_000):
-            tell(number)
-        await asyncio.sleep(0)
-        tell(-1)
-        await asyncio.sleep(0)
-
+async def test_of_what_comes_faster_than_the_loop_takes_it_the_newest_is_taken() -> None:
     taken: list[int] = []
-    asyncio.run(session())
+    tell = newest_only(asyncio.get_running_loop(), taken.append)
+    for number in range(10_000):
+        tell(number)
+    await asyncio.sleep(0)
+    tell(-1)
+    await asyncio.sleep(0)
     assert taken == [9999, -1]

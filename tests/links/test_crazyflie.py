@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from firmware_sim.craft_state import CraftState
+from firmware_sim.craft import CraftState
 from firmware_sim.supervisor import LOCKED
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links import crazyflie
@@ -20,12 +20,14 @@ from groundstation.telemetry.samples import LogTable
 from support.crafts import ServedCraft, served
 from support.crafts import flown_link as flown
 from support.programs import free_port
-from support.waiting import PATIENCE_S, eventually
+from support.waiting import PATIENCE_S, eventually, until
 
 Scenario = Callable[[CrazyflieLink, list[dict[str, Any]]], Awaitable[None]]
 
 
-def on_a_stand_in(scenario: Scenario) -> None:
+def on_a_stand_in(scenario: Scenario) -> Callable[[], Awaitable[None]]:
+    """A test of a link to a stand-in of 2014, and of what it records."""
+
     async def play() -> None:
         async with flown({"program": "wait"}) as uri:
             link = CrazyflieLink(uri)
@@ -37,29 +39,29 @@ def on_a_stand_in(scenario: Scenario) -> None:
             finally:
                 await link.close()
 
-    asyncio.run(play())
+    return play
 
 
-def test_every_gain_is_known_after_connecting() -> None:
-    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
-        assert link.state is CommandState.CONNECTED
-        parameters = link.parameters()
-        assert parameters["pid_rate.roll_kp"] == 70
-        assert parameters["pid_attitude.pitch_kp"] == 3.5
+@on_a_stand_in
+async def test_every_gain_is_known_after_connecting(
+    link: CrazyflieLink, entries: list[dict[str, Any]]
+) -> None:
+    assert link.state is CommandState.CONNECTED
+    parameters = link.parameters()
+    assert parameters["pid_rate.roll_kp"] == 70
+    assert parameters["pid_attitude.pitch_kp"] == 3.5
 
-    on_a_stand_in(scenario)
 
-
-def test_a_written_gain_is_confirmed_by_the_craft_and_recorded_both_ways() -> None:
-    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
-        assert await link.write_parameter("pid_rate.roll_kp", 55.5) == 55.5
-        assert link.parameters()["pid_rate.roll_kp"] == 55.5
-        assert [(e["direction"], e["kind"], e["value"]) for e in entries] == [
-            ("out", "parameter", 55.5),
-            ("in", "parameter", 55.5),
-        ]
-
-    on_a_stand_in(scenario)
+@on_a_stand_in
+async def test_a_written_gain_is_confirmed_by_the_craft_and_recorded_both_ways(
+    link: CrazyflieLink, entries: list[dict[str, Any]]
+) -> None:
+    assert await link.write_parameter("pid_rate.roll_kp", 55.5) == 55.5
+    assert link.parameters()["pid_rate.roll_kp"] == 55.5
+    assert [(e["direction"], e["kind"], e["value"]) for e in entries] == [
+        ("out", "parameter", 55.5),
+        ("in", "parameter", 55.5),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -77,44 +79,41 @@ def test_a_setpoint_that_is_not_sane_is_refused_before_it_is_sent(
     assert entries == []
 
 
-def test_a_setpoint_is_recorded_as_sent() -> None:
-    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
-        link.setpoint(1.5, -2.0, 10.0, 30000)
-        assert entries[0]["kind"] == "setpoint"
-        assert entries[0]["thrust"] == 30000
-        assert entries[0]["pitch_deg"] == -2.0
-
-    on_a_stand_in(scenario)
-
-
-def test_unknown_parameters_and_values_that_no_craft_should_get_are_refused() -> None:
-    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
-        with pytest.raises(BadInputError, match="no parameter"):
-            await link.write_parameter("pid_rate.nonsense", 1.0)
-        with pytest.raises(BadInputError, match="turns motors"):
-            await link.write_parameter("motorPowerSet.enable", 1.0)
-        with pytest.raises(BadInputError, match="finite"):
-            await link.write_parameter("pid_rate.roll_kp", math.nan)
-        for value in (-1.0, 1000.5):
-            with pytest.raises(BadInputError, match=r"outside 0\.\.1000"):
-                await link.write_parameter("pid_rate.roll_kp", value)
-        assert entries == []
-
-    on_a_stand_in(scenario)
+@on_a_stand_in
+async def test_a_setpoint_is_recorded_as_sent(
+    link: CrazyflieLink, entries: list[dict[str, Any]]
+) -> None:
+    link.setpoint(1.5, -2.0, 10.0, 30000)
+    assert entries[0]["kind"] == "setpoint"
+    assert entries[0]["thrust"] == 30000
+    assert entries[0]["pitch_deg"] == -2.0
 
 
-def test_two_connections_in_a_row_work() -> None:
-    async def play() -> None:
-        async with flown({"program": "wait"}) as uri:
-            for _ in range(2):
-                link = make_command_link(uri)
-                await link.open()
-                assert "pid_rate.yaw_ki" in link.parameters()
-                await link.close()
-                await link.close()
-                assert link.state is CommandState.CLOSED
+@on_a_stand_in
+async def test_unknown_parameters_and_values_that_no_craft_should_get_are_refused(
+    link: CrazyflieLink, entries: list[dict[str, Any]]
+) -> None:
+    with pytest.raises(BadInputError, match="no parameter"):
+        await link.write_parameter("pid_rate.nonsense", 1.0)
+    with pytest.raises(BadInputError, match="turns motors"):
+        await link.write_parameter("motorPowerSet.enable", 1.0)
+    with pytest.raises(BadInputError, match="finite"):
+        await link.write_parameter("pid_rate.roll_kp", math.nan)
+    for value in (-1.0, 1000.5):
+        with pytest.raises(BadInputError, match=r"outside 0\.\.1000"):
+            await link.write_parameter("pid_rate.roll_kp", value)
+    assert entries == []
 
-    asyncio.run(play())
+
+async def test_two_connections_in_a_row_work() -> None:
+    async with flown({"program": "wait"}) as uri:
+        for _ in range(2):
+            link = make_command_link(uri)
+            await link.open()
+            assert "pid_rate.yaw_ki" in link.parameters()
+            await link.close()
+            await link.close()
+            assert link.state is CommandState.CLOSED
 
 
 def test_a_craft_that_does_not_answer_gives_one_clear_error(
@@ -181,7 +180,7 @@ def test_a_craft_that_knows_its_height_holds_it_and_leans_and_turns_in_the_signs
 
     with served(craft="crazyflie21", protocol=protocol, **{knows: True}) as craft:
         before, after = asyncio.run(fly(craft))
-        craft.wait_for(lambda: not craft.craft.state().thrust)
+        until(lambda: not craft.craft.state().thrust, "no thrust")
     assert before.position_m[2] == pytest.approx(0.5, abs=0.15)
     assert after.angles_deg[1] < -3.0  # the firmware counts nose up
     assert after.angles_deg[2] > before.angles_deg[2] + 5.0
@@ -191,10 +190,11 @@ def test_a_craft_that_knows_its_height_holds_it_and_leans_and_turns_in_the_signs
 
 
 @pytest.mark.parametrize("protocol", [7, 12])
-def test_a_craft_with_a_flow_deck_moves_forward_and_left_as_it_is_headed_and_says_so(
+async def test_a_craft_with_a_flow_deck_moves_forward_and_left_as_it_is_headed_and_says_so(
     protocol: int,
 ) -> None:
-    async def fly(craft: ServedCraft) -> None:
+    number = 0xABC << 64 | 5  # the first of its three parts is the lowest
+    with served(craft="crazyflie21", flow_deck=True, protocol=protocol, cpu_id=number) as craft:
         link = CrazyflieLink(craft.uri)
         entries: list[dict[str, Any]] = []
         tables: list[LogTable] = []
@@ -231,13 +231,9 @@ def test_a_craft_with_a_flow_deck_moves_forward_and_left_as_it_is_headed_and_say
         heights = [float(one.columns["stateEstimate.z"][0]) for one in tables]
         assert max(heights) == pytest.approx(0.5, abs=0.15)
 
-    number = 0xABC << 64 | 5  # the first of its three parts is the lowest
-    with served(craft="crazyflie21", flow_deck=True, protocol=protocol, cpu_id=number) as craft:
-        asyncio.run(fly(craft))
 
-
-def test_a_craft_that_is_gone_is_said_to_be_gone_and_not_to_lack_a_deck() -> None:
-    async def fly(craft: ServedCraft) -> None:
+async def test_a_craft_that_is_gone_is_said_to_be_gone_and_not_to_lack_a_deck() -> None:
+    with served(craft="crazyflie21", height_deck=True) as craft:
         link = make_command_link(craft.uri)
         await link.open()
         link.setpoint(0, 0, 0, 0, height_m=0.1)
@@ -245,13 +241,10 @@ def test_a_craft_that_is_gone_is_said_to_be_gone_and_not_to_lack_a_deck() -> Non
         with pytest.raises(LinkError, match="is not connected"):
             link.setpoint(0, 0, 0, 0, height_m=0.1)
 
-    with served(craft="crazyflie21", height_deck=True) as craft:
-        asyncio.run(fly(craft))
-
 
 @pytest.mark.parametrize("protocol", [10, 12])
-def test_an_emergency_stop_locks_the_craft_of_either_supervisor(protocol: int) -> None:
-    async def stop(craft: ServedCraft) -> None:
+async def test_an_emergency_stop_locks_the_craft_of_either_supervisor(protocol: int) -> None:
+    with served(craft="crazyflie21", protocol=protocol) as craft:
         link = make_command_link(craft.uri)
         kinds = []
         link.on_entry = lambda entry: kinds.append(entry["kind"])
@@ -263,22 +256,19 @@ def test_an_emergency_stop_locks_the_craft_of_either_supervisor(protocol: int) -
         await link.close()
         assert not link.emergency_stop()
 
-    with served(craft="crazyflie21", protocol=protocol) as craft:
-        asyncio.run(stop(craft))
+
+@on_a_stand_in
+async def test_firmware_of_2014_has_no_emergency_stop(
+    link: CrazyflieLink, entries: list[dict[str, Any]]
+) -> None:
+    assert not link.emergency_stop()
+    assert entries == []
 
 
-def test_firmware_of_2014_has_no_emergency_stop() -> None:
-    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
-        assert not link.emergency_stop()
-        assert entries == []
-
-    on_a_stand_in(scenario)
-
-
-def test_a_craft_that_flies_is_left_its_height_where_it_does_not_know_it_for_a_moment(
+async def test_a_craft_that_flies_is_left_its_height_where_it_does_not_know_it_for_a_moment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def fly(craft: ServedCraft) -> None:
+    with served(craft="crazyflie21", positioned=True) as craft:
         link = CrazyflieLink(craft.uri)
         await link.open()
         async with asyncio.timeout(PATIENCE_S):
@@ -305,15 +295,12 @@ def test_a_craft_that_flies_is_left_its_height_where_it_does_not_know_it_for_a_m
             link.setpoint(0, 0, 0, 0, height_m=0.4)
         await link.close()
 
-    with served(craft="crazyflie21", positioned=True) as craft:
-        asyncio.run(fly(craft))
 
-
-def test_a_craft_without_such_a_deck_or_firmware_is_asked_for_no_height() -> None:
-    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
-        assert not link.holds_height
-        with pytest.raises(BadInputError, match="a deck that measures it"):
-            link.setpoint(0, 0, 0, 0, height_m=0.5)
-        assert entries == []
-
-    on_a_stand_in(scenario)
+@on_a_stand_in
+async def test_a_craft_without_such_a_deck_or_firmware_is_asked_for_no_height(
+    link: CrazyflieLink, entries: list[dict[str, Any]]
+) -> None:
+    assert not link.holds_height
+    with pytest.raises(BadInputError, match="a deck that measures it"):
+        link.setpoint(0, 0, 0, 0, height_m=0.5)
+    assert entries == []

@@ -12,11 +12,11 @@ from groundstation.links.base import LinkState
 from groundstation.links.crazyflie import CrazyflieTelemetry
 from groundstation.links.log_rows import LogPlan, LogRows
 from groundstation.recording.formats import open_recording
-from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
-from groundstation.service.station import Station
+from groundstation.service.config import RadioConfig
 from groundstation.telemetry.samples import SampleBatch
 from support.crafts import ServedCraft, served
 from support.waiting import eventually
+from support.worlds import running, station_on
 
 PATIENCE_S = 90.0
 LOG_DATA = 0x52
@@ -64,17 +64,14 @@ async def received(link: CrazyflieTelemetry, rows: int) -> SampleBatch:
     return SampleBatch.concatenate(parts)
 
 
-def test_four_per_cent_of_lost_packets_are_told_to_the_row(craft: ServedCraft) -> None:
+async def test_four_per_cent_of_lost_packets_are_told_to_the_row(craft: ServedCraft) -> None:
     air = Air(craft, loss=0.04)
 
-    async def session() -> tuple[SampleBatch, int, int]:
-        async with asyncio.timeout(PATIENCE_S), CrazyflieTelemetry(craft.uri, rate_hz=100) as link:
-            samples = await received(link, 800)
-            counts = link.sample_counts()
-            assert counts is not None
-            return samples, counts.samples, counts.lost
-
-    samples, told, lost = asyncio.run(session())
+    async with asyncio.timeout(PATIENCE_S), CrazyflieTelemetry(craft.uri, rate_hz=100) as link:
+        samples = await received(link, 800)
+        counts = link.sample_counts()
+        assert counts is not None
+        told, lost = counts.samples, counts.lost
     times = np.rint(samples.time_s * 1000).astype(int)
     first, second = (air.stamps[block] for block in sorted(air.stamps))
     # what came before its period was set is in another one's step
@@ -123,17 +120,11 @@ def test_an_hour_of_two_blocks_250_times_a_second_is_whole() -> None:
 
 
 @pytest.mark.parametrize(("silent_s", "segments"), [(0.5, 1), (60.0, 2)])
-def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent_s, segments):
+async def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent_s, segments):
     """The craft's clock goes on by as much while nothing is heard, without that anybody waits."""
     patience = "groundstation.links.crazyflie.SILENT_S"
     monkeypatch.setattr(patience, PATIENCE_S)  # a slow machine is no silent craft
-    station = Station(
-        Config(
-            link=LinkConfig(name=craft.uri),
-            radio=RadioConfig(rate_hz=100),
-            recording=RecordingConfig(folder=str(tmp_path)),
-        )
-    )
+    station = station_on(craft.uri, tmp_path, radio=RadioConfig(rate_hz=100))
     air = Air(craft)
 
     async def heard() -> None:
@@ -141,29 +132,21 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
         await eventually(lambda: station.receiver.state is LinkState.STREAMING)
         await eventually(lambda: station.statistics not in (None, before))
 
-    async def session() -> None:
-        running = asyncio.create_task(station.run())
-        try:
-            async with asyncio.timeout(PATIENCE_S):
-                await heard()
-                air.silent = True
-                from_s = craft.craft.time_s
-                if segments > 1:
-                    monkeypatch.setattr(patience, 0.1)
-                    await eventually(lambda: station.receiver.state is LinkState.LOST)
-                    monkeypatch.setattr(patience, PATIENCE_S)
-                craft.skip_s = max(silent_s - (craft.craft.time_s - from_s), 0.0)
-                await eventually(lambda: craft.craft.time_s - from_s >= silent_s)
-                if segments == 1:  # what was due in it is not sent behind it
-                    await eventually(lambda: air.dropped > 90)
-                air.silent = False
-                await heard()
-                await heard()
-        finally:
-            station.stop()
-            await running
-
-    asyncio.run(session())
+    async with running(station), asyncio.timeout(PATIENCE_S):
+        await heard()
+        air.silent = True
+        from_s = craft.craft.time_s
+        if segments > 1:
+            monkeypatch.setattr(patience, 0.1)
+            await eventually(lambda: station.receiver.state is LinkState.LOST)
+            monkeypatch.setattr(patience, PATIENCE_S)
+        craft.skip_s = max(silent_s - (craft.craft.time_s - from_s), 0.0)
+        await eventually(lambda: craft.craft.time_s - from_s >= silent_s)
+        if segments == 1:  # what was due in it is not sent behind it
+            await eventually(lambda: air.dropped > 90)
+        air.silent = False
+        await heard()
+        await heard()
     (path,) = tmp_path.glob("*.mcap")
     samples = open_recording(path).samples
     assert len(np.unique(samples.segment)) == segments
@@ -178,16 +161,13 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
         assert counted == pytest.approx(steps.max() / 0.01 - 1, abs=2)
 
 
-def test_the_blocks_of_a_slow_row_come_half_a_period_apart(craft: ServedCraft) -> None:
+async def test_the_blocks_of_a_slow_row_come_half_a_period_apart(craft: ServedCraft) -> None:
     """The motors are set every 2 ms, and rows that come every 4 hold both settings."""
 
-    async def session() -> tuple[SampleBatch, int]:
-        async with asyncio.timeout(PATIENCE_S), CrazyflieTelemetry(craft.uri, rate_hz=250) as link:
-            samples = await received(link, 200)
-            assert link._rows is not None
-            return samples, link._rows.apart_ms
-
-    samples, apart_ms = asyncio.run(session())
+    async with asyncio.timeout(PATIENCE_S), CrazyflieTelemetry(craft.uri, rate_hz=250) as link:
+        samples = await received(link, 200)
+        assert link._rows is not None
+        apart_ms = link._rows.apart_ms
     assert apart_ms == 2
     assert np.median(np.diff(samples.ticks)) == 4000
     assert np.isfinite(samples.duty).all()

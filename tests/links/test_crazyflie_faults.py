@@ -17,7 +17,7 @@ from usb.core import USBError
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.crazyflie import CrazyflieTelemetry
 from groundstation.links.crazyflie_connection import Connection, _explained
-from support.crafts import ServedCraft, served
+from support.crafts import served
 from support.programs import free_port, run_program
 
 GYRO = (("gyro.x", "float"),)
@@ -94,9 +94,9 @@ def test_a_variable_that_the_firmware_does_not_list_is_named_with_its_neighbours
         opened(CrazyflieTelemetry(craft.uri, wanted=["pm.vbatt"]))
 
 
-def test_more_than_a_craft_can_log_is_refused_in_one_line() -> None:
-    async def session(uri: str) -> None:
-        connection = Connection(uri)
+async def test_more_than_a_craft_can_log_is_refused_in_one_line() -> None:
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        connection = Connection(craft.uri)
         await connection.open()
         try:
             with pytest.raises(BadInputError, match=r"16 blocks .* fewer with --log") as refusal:
@@ -104,9 +104,6 @@ def test_more_than_a_craft_can_log_is_refused_in_one_line() -> None:
             assert "\n" not in str(refusal.value)
         finally:
             await connection.close()
-
-    with served(craft="crazyflie21", plant="reduced") as craft:
-        asyncio.run(session(craft.uri))
 
 
 def test_without_cflib_the_hint_names_this_programs_extra() -> None:
@@ -121,12 +118,14 @@ def test_without_cflib_the_hint_names_this_programs_extra() -> None:
     assert "needs cflib: install it with pip install 'crazyflie-groundstation[radio]'" in said
 
 
-def test_a_library_that_locks_itself_up_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_library_that_locks_itself_up_holds_nobody_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """It keeps its lock while it tells of a craft that vanished under a packet."""
     monkeypatch.setattr("groundstation.links.crazyflie_connection.CLOSE_S", 0.3)
 
-    async def session(uri: str) -> None:
-        connection = Connection(uri)
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        connection = Connection(craft.uri)
         await connection.open()
         await connection.blocks.start([GYRO], 10, lambda *packet: None)
         lock = connection.craft._send_lock
@@ -138,15 +137,12 @@ def test_a_library_that_locks_itself_up_holds_nobody_up(monkeypatch: pytest.Monk
         finally:
             lock.release()
 
-    with served(craft="crazyflie21", plant="reduced") as craft:
-        asyncio.run(session(craft.uri))
 
-
-def test_a_craft_that_a_ping_finds_gone_is_told_of() -> None:
+async def test_a_craft_that_a_ping_finds_gone_is_told_of() -> None:
     """cflib's own ping waits for itself then, and said nothing to anybody."""
     told: list[str] = []
 
-    async def session(craft: ServedCraft) -> None:
+    with served(craft="crazyflie21", plant="reduced") as craft:
         connection = Connection(craft.uri)
         connection.on_lost.append(told.append)
         await connection.open()
@@ -156,7 +152,4 @@ def test_a_craft_that_a_ping_finds_gone_is_told_of() -> None:
             while not told:
                 await asyncio.sleep(0.05)
             await connection.close()
-
-    with served(craft="crazyflie21", plant="reduced") as craft:
-        asyncio.run(session(craft))
     assert told == ["refused: nothing serves there"]

@@ -54,7 +54,7 @@ def test_a_craft_is_known_whole_although_one_request_in_twenty_is_lost(
     assert len(lost) > 3
 
 
-def test_a_first_question_that_is_lost_is_asked_again_within_the_patience_for_it() -> None:
+async def test_a_first_question_that_is_lost_is_asked_again_within_the_patience_for_it() -> None:
     asked: list[bytes] = []
 
     def loses(packet: bytes) -> bool:
@@ -62,19 +62,16 @@ def test_a_first_question_that_is_lost_is_asked_again_within_the_patience_for_it
             asked.append(packet)
         return header(packet) == LINK_SOURCE and len(asked) == 1
 
-    async def session(uri: str) -> None:
-        connection = Connection(uri)
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
+        radio.loses = loses
+        connection = Connection(radio.uri)
         await connection.open()
         await connection.complete()
         await connection.close()
-
-    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
-        radio.loses = loses
-        asyncio.run(session(radio.uri))
     assert len(asked) == 2
 
 
-def test_a_log_block_of_which_a_part_was_lost_is_made_anew_and_rows_are_whole() -> None:
+async def test_a_log_block_of_which_a_part_was_lost_is_made_anew_and_rows_are_whole() -> None:
     """What is added to a block that the craft does not know is refused; made afterwards, the block
     would lack it, and the library can read none of its packets."""
     lost: list[bytes] = []
@@ -86,19 +83,17 @@ def test_a_log_block_of_which_a_part_was_lost_is_made_anew_and_rows_are_whole() 
             return True
         return False
 
-    async def session(uri: str) -> int:
-        link = CrazyflieTelemetry(uri, rate_hz=250)
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
+        radio.loses = loses
+        link = CrazyflieTelemetry(radio.uri, rate_hz=250)
         async with link:
             for _ in range(20):
                 await link.read()
             assert not link._connection.blocks._craft().log.log_blocks[2:]
             counts = link.sample_counts()
             assert counts is not None
-            return counts.samples
-
-    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
-        radio.loses = loses
-        assert asyncio.run(session(radio.uri)) > 20
+            found = counts.samples
+        assert found > 20
     assert lost
 
 
@@ -167,23 +162,20 @@ def test_one_of_two_log_blocks_that_ceases_is_asked_for_again_on_the_same_connec
     assert any(re.match(r"no acc, .* received for 0.5 s", text) for text in told)
 
 
-def test_a_log_block_that_stays_away_is_a_link_that_is_lost(
+async def test_a_log_block_that_stays_away_is_a_link_that_is_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(crazyflie_log, "SILENT_S", 0.6)
     monkeypatch.setattr(crazyflie_log, "CEASED_S", 0.2)
 
-    async def session(radio: NarrowRadio) -> None:
+    async def read_on(link: CrazyflieTelemetry) -> None:
+        while True:
+            await link.read()
+
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
         link = CrazyflieTelemetry(radio.uri, rate_hz=100)
         async with link, asyncio.timeout(20.0):
             await link.read()
             radio.ceases = lambda packet: block_of(packet) == 1
-            while True:
-                await link.read()
-
-    with (
-        served(craft="crazyflie21") as craft,
-        narrow(craft.server.port) as radio,
-        pytest.raises(LinkLostError, match=r"no gyro, pm, pwm came for 0.6 s; connecting again"),
-    ):
-        asyncio.run(session(radio))
+            with pytest.raises(LinkLostError, match=r"no gyro, pm, pwm came for 0.6 s; connecting"):
+                await read_on(link)

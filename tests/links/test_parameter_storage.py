@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim import persistent
+from firmware_sim import contents
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.errors import LinkError
 from groundstation.links.command import GET_STATE, ParameterStorage, StoredValue, request, state_in
 
 GAIN, STOCK = "pid_rate.roll_kp", 250.0
-LISTED = ((GAIN, persistent.PARAM_FLOAT | persistent.EXTENDED),)
+LISTED = ((GAIN, contents.PARAM_FLOAT | contents.EXTENDED),)
 CRAFT = StandIn(StandInSettings(craft="crazyflie21", plant="reduced", program="wait"))
 GAINS = st.floats(0.0, 1000.0, width=32)
 
@@ -23,12 +23,12 @@ GAINS = st.floats(0.0, 1000.0, width=32)
 def test_a_state_is_read_as_the_firmware_says_it(stored: float) -> None:
     asked = request(GET_STATE, 0)
     CRAFT.stored[GAIN] = stored
-    answer = persistent.answer(CRAFT, LISTED, asked)
+    answer = contents.misc_answer(CRAFT, LISTED, asked)
     assert answer is not None
     assert answer.startswith(asked)
     assert state_in(answer[len(asked) :], "<f") == StoredValue(STOCK, stored)
     del CRAFT.stored[GAIN]
-    answer = persistent.answer(CRAFT, LISTED, asked)
+    answer = contents.misc_answer(CRAFT, LISTED, asked)
     assert answer is not None
     assert state_in(answer[len(asked) :], "<f") == StoredValue(STOCK, None)
 

@@ -127,23 +127,22 @@ def test_a_damaged_chunk_costs_its_own_packets_only(tmp_path):
     assert "damage" in [event.kind for event in events]
 
 
-def test_a_pause_in_the_recording_is_a_silence_in_the_replay(tmp_path):
-    path = tmp_path / "pause.mcap"
-    before, _ = flight(0, 50)
-    after, _ = flight(250, 50)
+def with_a_pause(folder, *parts):
+    path = folder / "pause.mcap"
     out = RecordingFile(path, {})
-    out.raw(before)
-    out.raw(after)
+    for part in parts:
+        out.raw(part)
     out.finish()
-    link = ReplayLink(path)
+    return path
+
+
+async def test_a_pause_in_the_recording_is_a_silence_in_the_replay(tmp_path):
+    before, after = flight(0, 50)[0], flight(250, 50)[0]
+    link = ReplayLink(with_a_pause(tmp_path, before, after))
     link.silence_s = 0.15
     events = listen(link)
-
-    async def session():
-        async with link:
-            return joined(await read_to_end(link))
-
-    got = asyncio.run(session())
+    async with link:
+        got = joined(await read_to_end(link))
     np.testing.assert_array_equal(got.packets, RawBatch.concatenate([before, after]).packets)
     kinds = [event.kind for event in events]
     assert kinds == ["opening", "streaming", "silent", "streaming", "ended", "closed"]
@@ -151,13 +150,7 @@ def test_a_pause_in_the_recording_is_a_silence_in_the_replay(tmp_path):
 
 def test_during_a_pause_the_present_lies_inside_the_pause_at_any_speed(tmp_path):
     """Or a slow replay would have its silences taken for longer ones."""
-    path = tmp_path / "pause.mcap"
-    before, _ = flight(0, 10)
-    after, _ = flight(1000, 10)
-    out = RecordingFile(path, {})
-    out.raw(before)
-    out.raw(after)
-    out.finish()
+    path = with_a_pause(tmp_path, flight(0, 10)[0], flight(1000, 10)[0])
     link = ReplayLink(path, speed=0.05)
     link.silence_s = 0.01
 

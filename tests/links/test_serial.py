@@ -115,44 +115,38 @@ def test_a_loop_that_was_blocked_loses_nothing():
     assert (samples.copies[1:-1] == 4).all()
 
 
-def test_stamps_are_those_of_the_reads_not_of_the_batch(line):
-    async def session():
-        async with SerialLink(line.path) as link:
-            reads = []
-            clock = link.clock
-            link.clock = lambda: reads.append(clock()) or reads[-1]
-            batches, sent = [], packets_of(8)
-            async with asyncio.timeout(PATIENCE_S):
-                while len(reads) < 2 * len(batches) + 4:  # several reads in some batch
-                    before = len(reads)
-                    line.send(sent)
-                    while len(reads) == before:
-                        await asyncio.sleep(0)
-            return await link.read(), reads
-
-    batch, reads = asyncio.run(session())
+async def test_stamps_are_those_of_the_reads_not_of_the_batch(line):
+    async with SerialLink(line.path) as link:
+        reads = []
+        clock = link.clock
+        link.clock = lambda: reads.append(clock()) or reads[-1]
+        batches, sent = [], packets_of(8)
+        async with asyncio.timeout(PATIENCE_S):
+            while len(reads) < 2 * len(batches) + 4:  # several reads in some batch
+                before = len(reads)
+                line.send(sent)
+                while len(reads) == before:
+                    await asyncio.sleep(0)
+        batch = await link.read()
     assert len(batch) == 4 * 32
     assert sorted(set(batch.host_time_ns.tolist())) == reads[:4]
 
 
-def test_a_packet_cut_in_two_reads_has_the_stamp_of_the_second(line):
+async def test_a_packet_cut_in_two_reads_has_the_stamp_of_the_second(line):
     stream = frame_packets(packets_of(1))
     half = FRAME_BYTES // 2
 
-    async def session():
-        async with SerialLink(line.path) as link:
-            os.write(line._fd, stream[:half])
-            assert await link.read() is None
-            between = link.clock()
-            os.write(line._fd, stream[half:])
-            return await packets_read(link, 4), between
-
-    batch, between = asyncio.run(session())
+    async with SerialLink(line.path) as link:
+        os.write(line._fd, stream[:half])
+        assert await link.read() is None
+        between = link.clock()
+        os.write(line._fd, stream[half:])
+        batch = await packets_read(link, 4)
     np.testing.assert_array_equal(batch.packets, packets_of(1))
     assert (batch.host_time_ns >= between).all()
 
 
-def test_damage_on_the_line_costs_its_frames_and_is_told(line):
+async def test_damage_on_the_line_costs_its_frames_and_is_told(line):
     stream = frame_packets(packets_of(50))
     spoilt = bytearray(stream)
     spoilt[40 * FRAME_BYTES + 7] ^= 0x40
@@ -160,12 +154,9 @@ def test_damage_on_the_line_costs_its_frames_and_is_told(line):
     link = SerialLink(line.path)
     events = listen(link)
 
-    async def session():
-        async with link:
-            os.write(line._fd, bytes(spoilt))
-            return await packets_read(link, 198), link.damaged
-
-    batch, damaged = asyncio.run(session())
+    async with link:
+        os.write(line._fd, bytes(spoilt))
+        batch, damaged = await packets_read(link, 198), link.damaged
     expected = np.delete(packets_of(50), [40, 80], axis=0)
     np.testing.assert_array_equal(batch.packets, expected)
     assert damaged >= 2
@@ -174,7 +165,7 @@ def test_damage_on_the_line_costs_its_frames_and_is_told(line):
     assert fault.details == {"damaged": damaged}
 
 
-def test_damage_in_the_last_moment_before_silence_is_told_too(line, monkeypatch):
+async def test_damage_in_the_last_moment_before_silence_is_told_too(line, monkeypatch):
     monkeypatch.setattr(serial_module, "REPORT_S", 0.05)
     frames = bytearray(frame_packets(packets_of(50)))
     half = 100 * FRAME_BYTES
@@ -183,116 +174,99 @@ def test_damage_in_the_last_moment_before_silence_is_told_too(line, monkeypatch)
     link = SerialLink(line.path)
     events = listen(link)
 
-    async def session():
-        async with link:
-            for part in (frames[:half], frames[half:]):
-                os.write(line._fd, bytes(part))
-                await packets_read(link, 99)
-            await eventually(lambda: len(faults()) >= 2)  # nothing more comes, nobody reads
-            return link.damaged
-
     def faults():
         return [event for event in events if event.kind == "fault"]
 
-    damaged = asyncio.run(session())
+    async with link:
+        for part in (frames[:half], frames[half:]):
+            os.write(line._fd, bytes(part))
+            await packets_read(link, 99)
+        await eventually(lambda: len(faults()) >= 2)  # nothing more comes, nobody reads
+        damaged = link.damaged
     assert damaged >= 2
     assert len(faults()) == 2
     assert faults()[-1].details == {"damaged": damaged}
 
 
-def test_a_stream_at_another_speed_is_said_to_be_no_telemetry(line):
+async def test_a_stream_at_another_speed_is_said_to_be_no_telemetry(line):
     link = SerialLink(line.path)
     events = listen(link)
 
-    async def session():
-        async with link:
-            os.write(line._fd, np.random.default_rng(0).bytes(8000))
-            return await link.read()
-
-    assert asyncio.run(session()) is None
+    async with link:
+        os.write(line._fd, np.random.default_rng(0).bytes(8000))
+        found = await link.read()
+    assert found is None
     (fault,) = [event for event in events if event.kind == "fault"]
     assert "check the bridge's baud rate" in fault.text
     assert str(BAUD) in fault.text
 
 
-def test_what_waits_for_a_reader_that_does_not_come_is_bounded_and_counted(line, monkeypatch):
+async def test_what_waits_for_a_reader_that_does_not_come_is_bounded_and_counted(line, monkeypatch):
     monkeypatch.setattr(serial_module, "MOST_WAITING_BYTES", 3000)
     link = SerialLink(line.path)
     events = listen(link)
 
-    async def session():
-        async with link:
-            for number in range(100):
-                before = link._received_bytes
-                line.send(packets_of(8, first=8 * number))
-                async with asyncio.timeout(PATIENCE_S):
-                    while link._received_bytes < before + 32 * FRAME_BYTES:
-                        await asyncio.sleep(0)
-            assert link._waiting_bytes <= 3000
-            batch = await link.read()
-            return batch, link.dropped_bytes, link._received_bytes
-
-    batch, dropped, received = asyncio.run(session())
+    async with link:
+        for number in range(100):
+            before = link._received_bytes
+            line.send(packets_of(8, first=8 * number))
+            async with asyncio.timeout(PATIENCE_S):
+                while link._received_bytes < before + 32 * FRAME_BYTES:
+                    await asyncio.sleep(0)
+        assert link._waiting_bytes <= 3000
+        batch = await link.read()
+        dropped, received = link.dropped_bytes, link._received_bytes
     assert received == 3200 * FRAME_BYTES
     assert dropped >= received - 3000 - 32 * FRAME_BYTES
     np.testing.assert_array_equal(batch.packets, packets_of(800)[-len(batch) :])
     assert "not read in time" in next(event for event in events if event.kind == "fault").text
 
 
-def test_a_port_that_hangs_up_delivers_what_it_had_and_is_lost(line):
+async def test_a_port_that_hangs_up_delivers_what_it_had_and_is_lost(line):
     link = SerialLink(line.path)
     events = listen(link)
 
-    async def session():
-        async with link:
-            line.send(packets_of(5))
-            await eventually(lambda: link._waiting)
-            line.close()
-            got = await packets_read(link, 20)
-            for _ in range(2):
-                with pytest.raises(LinkLostError, match="has gone"):
-                    await link.read()
-                assert link.state is LinkState.LOST
-            return got
-
-    np.testing.assert_array_equal(asyncio.run(session()).packets, packets_of(5))
+    async with link:
+        line.send(packets_of(5))
+        await eventually(lambda: link._waiting)
+        line.close()
+        got = await packets_read(link, 20)
+        for _ in range(2):
+            with pytest.raises(LinkLostError, match="has gone"):
+                await link.read()
+            assert link.state is LinkState.LOST
+    np.testing.assert_array_equal(got.packets, packets_of(5))
     assert [event.kind for event in events] == ["opening", "streaming", "lost", "closed"]
     assert "\n" not in events[2].text
 
 
-def test_a_port_that_hangs_up_during_silence_is_lost_at_once(line):
+async def test_a_port_that_hangs_up_during_silence_is_lost_at_once(line):
     link = SerialLink(line.path)
     link.silence_s = PATIENCE_S
 
-    async def session():
-        async with link:
-            reading = asyncio.create_task(link.read())
-            await asyncio.sleep(0)
-            line.close()
-            with pytest.raises(LinkLostError):
-                await reading
-
-    asyncio.run(session())
+    async with link:
+        reading = asyncio.create_task(link.read())
+        await asyncio.sleep(0)
+        line.close()
+        with pytest.raises(LinkLostError):
+            await reading
 
 
-def test_a_terminal_under_the_same_name_again_streams_again(tmp_path):
+async def test_a_terminal_under_the_same_name_again_streams_again(tmp_path):
     name = tmp_path / "craft"
     link = SerialLink(str(name))
 
-    async def session():
-        for first in (0, 1000):
-            with SerialPort(f"pty:{name}") as port:
-                async with link:
-                    port.send(packets_of(5, first=first))
-                    got = await packets_read(link, 20)
-                    np.testing.assert_array_equal(got.packets, packets_of(5, first=first))
-            with pytest.raises(LinkError, match="is not there"):
-                await link.open()
-
-    asyncio.run(session())
+    for first in (0, 1000):
+        with SerialPort(f"pty:{name}") as port:
+            async with link:
+                port.send(packets_of(5, first=first))
+                got = await packets_read(link, 20)
+                np.testing.assert_array_equal(got.packets, packets_of(5, first=first))
+        with pytest.raises(LinkError, match="is not there"):
+            await link.open()
 
 
-def test_a_hundred_connections_leave_no_descriptor_behind(tmp_path):
+async def test_a_hundred_connections_leave_no_descriptor_behind(tmp_path):
     name = tmp_path / "craft"
     link = SerialLink(str(name))
 
@@ -305,39 +279,30 @@ def test_a_hundred_connections_leave_no_descriptor_behind(tmp_path):
                 with pytest.raises(LinkLostError):
                     await link.read()
 
-    async def session():
+    await connect()
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(100):
         await connect()
-        before = len(os.listdir("/proc/self/fd"))
-        for _ in range(100):
-            await connect()
-        assert len(os.listdir("/proc/self/fd")) == before
-
-    asyncio.run(session())
+    assert len(os.listdir("/proc/self/fd")) == before
 
 
-def test_what_was_sent_while_nobody_listened_is_not_taken_for_the_present(line):
-    async def session():
-        async with SerialLink(line.path) as link:
-            line.send(packets_of(5))
-            await packets_read(link, 20)
-        line.send(packets_of(5, first=500))
-        async with SerialLink(line.path) as link:
-            line.send(packets_of(5, first=1000))
-            return await packets_read(link, 20)
-
-    got = asyncio.run(session())
+async def test_what_was_sent_while_nobody_listened_is_not_taken_for_the_present(line):
+    async with SerialLink(line.path) as link:
+        line.send(packets_of(5))
+        await packets_read(link, 20)
+    line.send(packets_of(5, first=500))
+    async with SerialLink(line.path) as link:
+        line.send(packets_of(5, first=1000))
+        got = await packets_read(link, 20)
     np.testing.assert_array_equal(got.packets, packets_of(5, first=1000))
     assert line.unheard == 20
 
 
-def test_a_port_that_another_reader_has_is_refused(line):
-    async def session():
-        async with SerialLink(line.path):
-            with pytest.raises(LinkError, match="in use by another program") as refused:
-                await SerialLink(line.path).open()
-            assert not isinstance(refused.value, BadInputError)
-
-    asyncio.run(session())
+async def test_a_port_that_another_reader_has_is_refused(line):
+    async with SerialLink(line.path):
+        with pytest.raises(LinkError, match="in use by another program") as refused:
+            await SerialLink(line.path).open()
+        assert not isinstance(refused.value, BadInputError)
 
 
 @pytest.mark.parametrize(
@@ -377,14 +342,12 @@ def test_an_address_is_a_port_and_perhaps_a_speed(address, port, baud):
     assert link.name == f"serial:{address}"
 
 
-def test_the_speed_that_was_asked_for_is_set(line):
+async def test_the_speed_that_was_asked_for_is_set(line):
     import termios
 
-    async def session():
-        async with SerialLink(f"{line.path}@921600") as link:
-            return termios.tcgetattr(link._serial.fileno())[4]
-
-    assert asyncio.run(session()) == termios.B921600
+    async with SerialLink(f"{line.path}@921600") as link:
+        found = termios.tcgetattr(link._serial.fileno())[4]
+    assert found == termios.B921600
 
 
 def test_a_name_too_strange_for_a_path_is_refused_in_one_line():
@@ -393,7 +356,7 @@ def test_a_name_too_strange_for_a_path_is_refused_in_one_line():
     assert "\n" not in str(refused.value)
 
 
-def test_a_port_that_hangs_while_it_opens_is_told_of_and_tried_by_one_thread_only(
+async def test_a_port_that_hangs_while_it_opens_is_told_of_and_tried_by_one_thread_only(
     line, tmp_path, monkeypatch
 ):
     """A wedged adapter: its driver holds whoever opens it, here a pipe without a writer does."""
@@ -409,19 +372,16 @@ def test_a_port_that_hangs_while_it_opens_is_told_of_and_tried_by_one_thread_onl
     monkeypatch.setattr(serial_module, "_open_port", open_slowly)
     monkeypatch.setattr(serial_module, "OPEN_S", 0.2)
 
-    async def session():
-        link = SerialLink(line.path)
-        for tried in (link, link, SerialLink(line.path)):
-            with pytest.raises(LinkError, match="does not answer"):
-                await tried.open()
-        waiting = [one for one in threading.enumerate() if line.path in one.name]
-        assert len(waiting) == 1
-        gate.open("wb").close()  # the driver comes back
-        async with asyncio.timeout(PATIENCE_S):
-            while left_running(f"opening {line.path}") or opened[0].is_open:
-                await asyncio.sleep(0.01)
-        monkeypatch.setattr(serial_module, "_open_port", open_port)
-        async with link:
-            assert link.state is LinkState.OPENING
-
-    asyncio.run(session())
+    link = SerialLink(line.path)
+    for tried in (link, link, SerialLink(line.path)):
+        with pytest.raises(LinkError, match="does not answer"):
+            await tried.open()
+    waiting = [one for one in threading.enumerate() if line.path in one.name]
+    assert len(waiting) == 1
+    gate.open("wb").close()  # the driver comes back
+    async with asyncio.timeout(PATIENCE_S):
+        while left_running(f"opening {line.path}") or opened[0].is_open:
+            await asyncio.sleep(0.01)
+    monkeypatch.setattr(serial_module, "_open_port", open_port)
+    async with link:
+        assert link.state is LinkState.OPENING

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.cli.flying import Interrupts, Room, fly_by_height
-from groundstation.cli.learn_flights import CLIENT, FastPlace
+from groundstation.cli.learn import CLIENT, FastPlace
 from groundstation.errors import BadInputError
 from groundstation.learn.planning import FlightPlan, Limits, library
 from groundstation.links.software_craft import SoftwareCraft

@@ -33,21 +33,18 @@ def test_ids_are_hexadecimal_in_either_case():
     assert parse_ids("1D6b:00aF") == (0x1D6B, 0x00AF)
 
 
-def test_an_absent_device_is_told_at_once_and_then_waited_for():
-    async def session():
-        link = UsbLink(device=ABSENT)
-        with pytest.raises(LinkError, match="no USB device 1209:0001 is plugged in"):
-            await link.open()
-        assert link.state is LinkState.CLOSED
-        waiting = asyncio.create_task(link.open())
-        await eventually(lambda: link.state is LinkState.OPENING)
-        waiting.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await waiting
-        await link.close()
-        assert link.state is LinkState.CLOSED
-
-    asyncio.run(session())
+async def test_an_absent_device_is_told_at_once_and_then_waited_for():
+    link = UsbLink(device=ABSENT)
+    with pytest.raises(LinkError, match="no USB device 1209:0001 is plugged in"):
+        await link.open()
+    assert link.state is LinkState.CLOSED
+    waiting = asyncio.create_task(link.open())
+    await eventually(lambda: link.state is LinkState.OPENING)
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+    await link.close()
+    assert link.state is LinkState.CLOSED
 
 
 def test_a_pyusb_with_other_inner_names_is_refused_before_anything_is_read():

@@ -18,7 +18,7 @@ import pytest
 from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.body import identify_body
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import flights_of, runs_of, without_gaps
 from groundstation.recording.formats import open_recording

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
-from groundstation.identification.body.fit import fit_body
-from groundstation.identification.body.setup import on_other
-from groundstation.identification.body.workflow import predicted_rates, validate_body
-from groundstation.identification.division import hold_out, stretches_of
+from groundstation.identification.body import fit_body, predicted_rates, validate_body
+from groundstation.identification.body_setup import on_other
+from groundstation.identification.flight import hold_out, stretches_of
 from groundstation.identification.motor.rotors import fit_rotors, rotor_runs, validate_rotor
 from groundstation.identification.runs import runs_of
 from groundstation.recording.formats import open_recording

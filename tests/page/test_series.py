@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from groundstation.errors import GroundStationError
-from groundstation.page.opening import UnknownColumnsError, add, add_example
-from groundstation.page.series import ROWS_MOST, series, write
+from groundstation.page.app import UnknownColumnsError, add, add_example
+from groundstation.page.reading import ROWS_MOST, series, write
 from groundstation.recording.formats import open_recording
 from support import RECORDINGS
 

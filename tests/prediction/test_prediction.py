@@ -51,14 +51,9 @@ SHOWS = {
 }
 """effect -> a channel in which the base model fails, and its error over the noise at least."""
 USUAL = Noise()
-ROUGH = replace(
-    USUAL,
-    torque=tuple(6.0 * one for one in USUAL.torque),
-    force=6.0 * USUAL.force,
-    gyro=tuple(2.0 * one for one in USUAL.gyro),
-    accelerometer=2.0 * USUAL.accelerometer,
-    attitude=2.0 * USUAL.attitude,
-)
+ROUGH = replace(USUAL, torque=tuple(6.0 * one for one in USUAL.torque), force=6.0 * USUAL.force)
+NOISIER = {name: 2.0 * getattr(USUAL, name) for name in ("accelerometer", "attitude")}
+ROUGH = replace(ROUGH, gyro=tuple(2.0 * one for one in USUAL.gyro), **NOISIER)
 CHANNELS = [f"{s} {a}" for s in ("gyro", "accelerometer") for a in "xyz"] + ["roll", "pitch", "yaw"]
 
 

@@ -10,18 +10,8 @@ from mcap_ros2.decoder import DecoderFactory
 
 from groundstation.recording.mcap_schemas import HEADER, Definition
 
-NUMBERS = [
-    "int8",
-    "uint8",
-    "int16",
-    "uint16",
-    "int32",
-    "uint32",
-    "int64",
-    "uint64",
-    "float32",
-    "float64",
-]
+NUMBERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+NUMBERS += ["float32", "float64"]
 
 
 @st.composite

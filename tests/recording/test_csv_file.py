@@ -19,10 +19,10 @@ from groundstation.recording.microsd import read_microsd
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import TICK_S, decode
 from groundstation.telemetry.samples import COLUMNS, RawBatch, empty_samples, packet_counts
+from support import RECORDINGS
 from support.fingerprints import mean_timestamp_step
 from support.packets import packet_recording, packet_recordings
 
-RECORDINGS = Path(__file__).parents[2] / "recordings"
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"
 HEADER = ",".join(THESIS_COLUMNS)
 ROW = "17114118,3242,3376,3128,2968,3192,-445,693,-75,-329,3146,7707,-269,-559,-3136,1230000000"

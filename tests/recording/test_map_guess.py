@@ -91,23 +91,36 @@ def test_more_than_four_motors_are_not_guessed_and_that_is_said():
     assert guesses.notes == ["6 motors are no quadrotor's: none is guessed."]
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("ms", 1.0), ("s", 1e-3), ("us", 1e3), ("ns", 1e6)])
-def test_the_unit_of_time_is_told_by_its_steps(unit, scale):
-    assert guessed(t=TIME_MS * scale).channels["time"].unit == unit
+GRAVITY = 1 + 0.1 * WAVE
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "values", "unit"),
+    [
+        *(("t", "time", TIME_MS * scale, unit)
+          for unit, scale in (("ms", 1.0), ("s", 1e-3), ("us", 1e3), ("ns", 1e6))),
+        *(("wx", "gyro.x", size * WAVE, unit)
+          for size, unit in ((200.0, "deg/s"), (2.0, "rad/s"), (20000.0, "counts"))),
+        *(("az", "accelerometer.z", size * GRAVITY, unit)
+          for size, unit in ((9.8, "m/s^2"), (1.0, "g"), (4096.0, "counts"), (2048.0, "g/2048"))),
+        *(("motor1", "duty.m1", np.linspace(low, high, 1000), unit)
+          for low, high, unit in (
+              (0.1, 0.9, "fraction"), (5, 95, "%"), (10, 240, "8-bit"), (1000, 1900, "pwm-us"),
+              (48, 1500, "dshot"), (200, 4000, "12-bit"), (0, 60000, "16-bit"),
+          )),
+    ],
+)  # fmt: skip
+def test_a_unit_is_told_by_the_numbers(name, key, values, unit):
+    """Of time by its steps, of an accelerometer by gravity, of others by their range."""
+    guess = guessed(**({} if key == "time" else {"t_ms": TIME_MS}), **{name: values}).channels[key]
+    assert (guess.unit, guess.sign) == (unit, 1)
+    assert key != "accelerometer.z" or f"gravity in {unit}" in guess.why
 
 
 def test_a_clock_without_a_name_is_the_column_that_always_grows():
     guesses = guessed(index=np.arange(1000.0), u=WAVE, k=TIME_MS + 7.0)
     assert guesses.channels["time"].column.name == "k"
     assert "always grows" in guesses.channels["time"].why
-
-
-@pytest.mark.parametrize(
-    ("values", "unit"),
-    [(200.0, "deg/s"), (2.0, "rad/s"), (20000.0, "counts")],
-)
-def test_the_unit_of_a_gyro_is_told_by_its_range(values, unit):
-    assert guessed(t_ms=TIME_MS, wx=values * WAVE).channels["gyro.x"].unit == unit
 
 
 @pytest.mark.parametrize("unit", ["rad/s", "deg/s"])
@@ -122,28 +135,6 @@ def test_the_unit_of_a_gyro_is_told_by_how_fast_the_attitude_turns(unit, said):
     guess = guessed(t_ms=TIME_MS, **columns).channels["gyro.x"]
     assert guess.unit == unit
     assert f"turns as fast as roll in {unit}" in guess.why
-
-
-@pytest.mark.parametrize(
-    ("gravity", "unit"), [(9.8, "m/s^2"), (1.0, "g"), (4096.0, "counts"), (2048.0, "g/2048")]
-)
-def test_the_unit_of_an_accelerometer_is_told_by_gravity(gravity, unit):
-    guess = guessed(t_ms=TIME_MS, az=gravity * (1 + 0.1 * WAVE)).channels["accelerometer.z"]
-    assert guess.unit == unit
-    assert f"gravity in {unit}" in guess.why
-    assert guess.sign == 1
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "unit"),
-    [
-        *((0.1, 0.9, "fraction"), (5, 95, "%"), (10, 240, "8-bit"), (1000, 1900, "pwm-us")),
-        *((48, 1500, "dshot"), (200, 4000, "12-bit"), (0, 60000, "16-bit")),
-    ],
-)
-def test_the_unit_of_motors_is_told_by_their_range(low, high, unit):
-    values = np.linspace(low, high, 1000)
-    assert guessed(t_ms=TIME_MS, motor1=values).channels["duty.m1"].unit == unit
 
 
 def test_axes_of_a_craft_that_looks_forward_right_down_are_turned_into_ours(flight, tmp_path):

@@ -15,11 +15,10 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.mcap_file import McapFile, session_metadata, write_mcap
+from groundstation.recording.mcap_file import McapFile, McapRecorder, session_metadata, write_mcap
 from groundstation.recording.mcap_reader import read_mcap
 from groundstation.recording.mcap_scan import recover
 from groundstation.recording.mcap_schemas import quaternion
-from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.recording.quality import inspect_recording
 from groundstation.recording.session import Recording
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
@@ -45,25 +44,20 @@ FAULT_S = 10.0
 TESTS = Path(__file__).parents[1]
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "flight.mcap"
+class Faults(list):
+    """What a recorder told; heard: set once it has told something."""
+
+    def __init__(self):
+        self.heard = threading.Event()
+
+    def __call__(self, text):
+        self.append(text)
+        self.heard.set()
 
 
 @pytest.fixture
 def faults():
-    return []
-
-
-def fault_event(faults):
-    """A listener and an event that is set once it has heard something."""
-    heard = threading.Event()
-
-    def listen(text):
-        faults.append(text)
-        heard.set()
-
-    return listen, heard
+    return Faults()
 
 
 def test_everything_given_comes_back(path):
@@ -176,19 +170,6 @@ def test_each_angle_turns_right_handed_about_its_axis(angles, axis):
     assert (x, y, z) == pytest.approx(np.sin(0.15) * np.array(axis))
 
 
-def test_the_quaternion_is_the_rotation_of_the_thesis():
-    phi, theta, psi = 0.4, -0.7, 2.1
-    x, y, z, w = quaternion(np.array([[phi, theta, psi]]))[0]
-    c, s = np.cos, np.sin
-    roll = np.array([[1, 0, 0], [0, c(phi), -s(phi)], [0, s(phi), c(phi)]])
-    pitch = np.array([[c(theta), 0, s(theta)], [0, 1, 0], [-s(theta), 0, c(theta)]])
-    yaw = np.array([[c(psi), -s(psi), 0], [s(psi), c(psi), 0], [0, 0, 1]])
-    vector = np.array([x, y, z])
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rotation = (w * w - vector @ vector) * np.eye(3) + 2 * np.outer(vector, vector) + 2 * w * cross
-    np.testing.assert_allclose(rotation, yaw @ pitch @ roll, atol=1e-12)
-
-
 def test_channels_a_source_does_not_have_are_marked_as_unknown_in_standard_messages(path):
     samples = empty_samples(100)
     samples.ticks[:] = np.arange(100) * 1973
@@ -268,10 +249,9 @@ def test_too_little_space_at_the_start_is_refused_and_leaves_no_file(path):
 
 
 def test_under_the_low_space_mark_the_file_is_finished_cleanly(small_disk, faults):
-    listen, heard = fault_event(faults)
     path = small_disk / "flight.mcap"
-    recorder = McapRecorder(path, METADATA, low_space_bytes=300_000, flush_s=0.01, on_fault=listen)
-    given = record_until(heard.is_set, recorder)
+    recorder = McapRecorder(path, METADATA, low_space_bytes=300_000, flush_s=0.01, on_fault=faults)
+    given = record_until(faults.heard.is_set, recorder)
     status = recorder.finish()
     assert status.state == "low_space"
     assert faults == [status.text]
@@ -285,13 +265,12 @@ def test_under_the_low_space_mark_the_file_is_finished_cleanly(small_disk, fault
 
 
 def test_a_full_disk_keeps_every_whole_chunk_and_says_so_once(small_disk, faults):
-    listen, heard = fault_event(faults)
     path = small_disk / "flight.mcap"
     never = -(1 << 30)  # no room is too little to go on: the write itself has to fail
-    recorder = McapRecorder(path, METADATA, low_space_bytes=never, flush_s=0.01, on_fault=listen)
+    recorder = McapRecorder(path, METADATA, low_space_bytes=never, flush_s=0.01, on_fault=faults)
     given = record_until(lambda: recorder.status().samples >= 500, recorder)
     fill(small_disk / "something_else")
-    given = record_until(heard.is_set, recorder, given)
+    given = record_until(faults.heard.is_set, recorder, given)
     status = recorder.finish()
     assert status.state == "failed"
     assert faults == [status.text]
@@ -336,7 +315,7 @@ SIZE_LIMIT = """
 import resource, sys, threading
 from pathlib import Path
 from support.packets import record_flight
-from groundstation.recording.mcap_writer import McapRecorder
+from groundstation.recording.mcap_file import McapRecorder
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 heard = threading.Event()
 texts = []
@@ -368,7 +347,7 @@ def assert_holds_the_beginning(path, rows):
 def test_a_file_that_another_program_cuts_is_a_fault_and_has_no_hole(path, faults, left):
     """``> flight.mcap`` in a shell, say: what is written behind it would stand after zeros."""
     raw, samples = flight(0, 500)
-    recorder = McapRecorder(path, METADATA, on_fault=faults.append, flush_s=0.02)
+    recorder = McapRecorder(path, METADATA, on_fault=faults, flush_s=0.02)
     recorder.raw(raw)
     recorder.samples(samples)
     deadline_s = time.monotonic() + 20.0
@@ -397,11 +376,10 @@ def test_one_damage_in_a_converted_recording_costs_a_second_or_two(path):
 
 
 def test_a_removed_file_is_a_fault(path, faults):
-    listen, heard = fault_event(faults)
-    recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=listen)
+    recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=faults)
     record_flight(recorder, 100)
     path.unlink()
-    assert heard.wait(10)
+    assert faults.heard.wait(10)
     record_flight(recorder, 100, first=100)
     status = recorder.finish()
     assert status.state == "failed"
@@ -428,12 +406,11 @@ def assert_ends(recorder):
 
 
 def test_a_fault_of_the_recorder_itself_keeps_what_was_written(path, faults):
-    listen, heard = fault_event(faults)
-    recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=listen)
+    recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=faults)
     record_flight(recorder, 500)
     raw, _ = flight(500, 5)
     recorder.raw(RawBatch(raw.packets, raw.host_time_ns.astype("U")))
-    assert heard.wait(10)
+    assert faults.heard.wait(10)
     assert recorder.finish().state == "failed"
     assert "internal fault" in faults[0]
     recording = read_mcap(path)
@@ -452,9 +429,7 @@ def test_an_overflowing_queue_counts_what_it_drops_and_never_blocks(path, faults
         flush(file)
 
     monkeypatch.setattr(McapFile, "flush", slow_flush)
-    recorder = McapRecorder(
-        path, METADATA, flush_s=0.01, queue_bytes=100_000, on_fault=faults.append
-    )
+    recorder = McapRecorder(path, METADATA, flush_s=0.01, queue_bytes=100_000, on_fault=faults)
     record_flight(recorder, ROWS, batch=50)
     waiting = recorder.status()
     assert waiting.dropped_samples > 0
@@ -503,9 +478,8 @@ def test_a_failing_sync_is_a_fault(path, faults, monkeypatch):
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(McapFile, "sync", failing_sync)
-    listen, heard = fault_event(faults)
-    recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=listen)
-    record_until(heard.is_set, recorder)
+    recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=faults)
+    record_until(faults.heard.is_set, recorder)
     assert recorder.finish().state == "failed"
     assert "Input/output error" in faults[0]
 
@@ -558,7 +532,7 @@ CHILD = """
 import os, sys, time
 from pathlib import Path
 from support.packets import flight
-from groundstation.recording.mcap_writer import McapRecorder
+from groundstation.recording.mcap_file import McapRecorder
 recorder = McapRecorder(Path(sys.argv[1]), {"session": {"link": "kill"}})
 due = time.monotonic()
 for start in range(0, 1_000_000, 5):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from groundstation.errors import BadInputError
 from groundstation.recording.microsd import longest_in_order, read_microsd
-from groundstation.recording.motor_columns import gyro_unit_of
+from groundstation.recording.motor_columns import gyro_unit_of, is_command
 from support.foreign_logs import FIXED, header_bytes, log_bytes, record_bytes
 
 LOG16 = Path(__file__).parents[2] / "recordings" / "microsd_log16"
@@ -381,3 +381,21 @@ def test_of_a_quaternion_that_rests_and_angles_that_move_the_angles_are_taken(fo
     rest = {f"stateEstimate.q{part}": np.full(400, float(part == "w")) for part in "wxyz"}
     attitude = motors_log(folder, {**angles, **rest}).samples.attitude
     assert np.degrees(attitude[200]) == pytest.approx([5, -5, 5], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["motor.m1", "motor_m2", "log_motor_m3", "log.motor.m4", "motor/m1", "/cf1/log/motor.m2"],
+)
+def test_the_firmwares_motors_are_known_under_any_spelling(name):
+    assert is_command(name)
+
+
+@pytest.mark.parametrize("name", ["m1", "motor.m5", "pwm.m1_pwm", "motor.m1req", "promotor_m1"])
+def test_other_motors_are_not_the_firmwares_command(name):
+    assert not is_command(name)
+
+
+def test_where_the_map_names_the_craft_only_the_firmwares_own_name_is_doubted():
+    assert is_command("motor.m1", craft_known=True)
+    assert not is_command("motor_motor_m1", craft_known=True)

@@ -27,11 +27,6 @@ ROWS = 120
 METADATA = {"session": {"link": "usb"}, "vehicle": {"name": "crazyflie1"}}
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "flight.mcap"
-
-
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     path = tmp_path_factory.mktemp("finished") / "flight.mcap"

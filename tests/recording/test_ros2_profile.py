@@ -12,7 +12,7 @@ from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.formats import open_recording, writer_of
 from groundstation.recording.mcap_scan import recover
 from groundstation.recording.session import Recording
-from groundstation.rerun_log.installed import rerun_program
+from groundstation.rerun_log.channels import rerun_program
 from support.programs import run_program
 
 FLIGHT = Path(__file__).parents[2] / "recordings" / "stand_in_flight.mcap"

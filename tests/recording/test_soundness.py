@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.recording.quality import inspect_recording
+from groundstation.recording.quality import inspect_recording, rejected, rejections, sound
 from groundstation.recording.session import Recording
-from groundstation.recording.soundness import rejected, rejections, sound
 from support.flights import recorded, truth_of
 
 SECOND = 500
@@ -99,48 +98,84 @@ def test_a_field_in_another_unit_is_missing_as_a_whole(flight, name, scale):
     assert "check unit and scale" in said[0]
 
 
-def test_of_spikes_only_their_rows_are_missing(flight):
-    def spikes(gyro):
-        gyro[3000:9000:500, 2] = 90.0
-
-    left, _, _ = judged(changed(flight, "gyro", spikes))
-    assert np.flatnonzero(missing(left, "gyro")).tolist() == list(range(3000, 9000, 500))
+def put(rows, value, *column):
+    """What sets rows of a field, or of one of its columns."""
+    return lambda values: values.__setitem__((rows, *column), value)
 
 
-def test_rows_with_a_motor_beyond_full_duty_are_missing(flight):
-    def too_much(duty):
-        duty[4000:4100:2, 1] = 1.2
-
-    left, said, _ = judged(changed(flight, "duty", too_much))
-    assert missing(left, "duty").sum() == 50
-    assert "a motor beyond full duty in 50 samples" in said[0]
+def keep(first, last):
+    """What repeats a row until another."""
+    return lambda values: values.__setitem__(slice(first, last), values[first].copy())
 
 
-@pytest.mark.parametrize(("name", "least"), [("gyro", 2000), ("accelerometer", 2000)])
-def test_a_sensor_that_is_frozen_in_flight_is_missing_for_as_long(flight, name, least):
-    def freeze(values):
-        values[5000:7000] = values[5000]
+def swing(values):
+    """Rates of 30 deg/s at 1 Hz, from 8 s on: it lies on the ground before."""
+    values[8 * SECOND :] += (
+        np.radians(30.0) * np.sin(2 * np.pi * np.arange(8 * SECOND, len(values)) / SECOND)[:, None]
+    )
 
-    left, said, verdict = judged(changed(flight, name, freeze))
-    assert missing(left, name).sum() == least - 1  # the first was measured
-    assert f"the {name} is frozen for 2000 samples from number 5001 on" in said[0]
-    assert "is frozen" in verdict
+
+THIRD, SPIKES, SOME, BLOCK = np.s_[::3], np.s_[3000:9000:500], np.s_[700::400], slice(3000, 6000)
+FROZEN = "is frozen for 2000 samples from number 5001 on"
+NO_VALUE = "far from all others: it stands for no value"
+
+
+@pytest.mark.parametrize(
+    ("field", "change", "rows", "words"),
+    [
+        ("gyro", put(SPIKES, 90.0, 2), SPIKES, "in 12 of 9990 samples"),
+        ("duty", put(np.s_[4000:4100:2], 1.2, 1), np.s_[4000:4100:2], "full duty in 50 samples"),
+        ("gyro", keep(5000, 7000), slice(5001, 7000), f"the gyro {FROZEN}"),
+        ("accelerometer", keep(5000, 7000), slice(5001, 7000), f"the accelerometer {FROZEN}"),
+        ("attitude", keep(5000, 7000), slice(5001, 7000), "attitude stands for 4.0 s while the"),
+        ("gyro", put(SOME, np.radians(-999.0), 1), SOME, "in 24 of 9990 samples"),
+        ("accelerometer", put(SOME, 1e30, 1), SOME, "in 24 of 9990 samples"),
+        ("attitude", put(SOME, np.radians(-9999.0), 1), SOME, "in 24 of 9990 samples"),
+        ("gyro", put(BLOCK, np.radians(-999.0), 1), BLOCK, NO_VALUE),
+        ("accelerometer", put(BLOCK, 1e30, 1), BLOCK, NO_VALUE),
+        ("attitude", put(BLOCK, np.radians(-9999.0), 1), BLOCK, NO_VALUE),
+        ("duty", put(BLOCK, -1.0 / 65535.0, 1), BLOCK, NO_VALUE),
+        ("duty", put(BLOCK, -1.0, 1), BLOCK, NO_VALUE),
+        ("duty", put(BLOCK, 255.0, 1), BLOCK, NO_VALUE),
+        ("duty", put(THIRD, -1.0 / 4095.0), THIRD, NO_VALUE),
+        ("rotor_rev_s", put(BLOCK, -1.0 / 60.0, 1), BLOCK, NO_VALUE),
+        ("battery_v", put(THIRD, 65535.0), THIRD, "battery is exactly 65535 V"),
+        (
+            "battery_v",
+            put(slice(3000), 0.0),
+            slice(3000),
+            f"is exactly 0 V in 3000 of 9990 samples, {NO_VALUE}",
+        ),
+    ],
+)
+def test_rows_of_which_something_cannot_be_measured_are_missing_and_no_others(
+    flight, field, change, rows, words
+):
+    if field == "rotor_rev_s":
+        flight = changed(flight, field, lambda values: values.__setitem__(..., 300 * flight.duty))
+    if field == "attitude":
+        flight = changed(flight, "gyro", swing)
+    left, said, verdict = judged(changed(flight, field, change))
+    lost = np.zeros(len(flight), bool)
+    lost[rows] = True
+    assert np.array_equal(missing(left, field), lost)
+    assert len(said) == (4 if rows == THIRD and field == "duty" else 1), said
+    assert all(words in one for one in said), said
+    assert said[0].removeprefix("made.csv: taken as missing: ") in verdict
+    assert "went down" not in verdict
 
 
 def test_a_sensor_that_does_not_change_on_the_ground_is_not_frozen(flight):
-    def still(values):
-        values[:900] = values[0]
-
     assert not (flight.duty[:900] > 0.05).all(axis=1).any()
-    _, said, _ = judged(changed(flight, "gyro", still))
+    _, said, _ = judged(changed(flight, "gyro", keep(0, 900)))
     assert said == []
 
 
 @pytest.mark.parametrize(
     ("change", "lost", "words"),
     [
-        (lambda speeds: np.copyto(speeds[:, 2], 150.0), slice(None), "rotor_3 is 9000 throughout"),
-        (lambda speeds: np.copyto(speeds[6000:, 2], 0.0), slice(6000, None), "rotor_3 is stuck"),
+        (put(slice(None), 150.0, 2), slice(None), "rotor_3 is 9000 throughout"),
+        (put(slice(6000, None), 0.0, 2), slice(6000, None), "rotor_3 is stuck"),
     ],
 )
 def test_a_rotor_s_dead_sensor_is_missing_and_the_others_stay(flight, change, lost, words):
@@ -151,117 +186,26 @@ def test_a_rotor_s_dead_sensor_is_missing_and_the_others_stay(flight, change, lo
 
 
 def test_a_motor_that_is_never_driven_is_told_and_believed(flight):
-    bench = changed(flight, "duty", lambda duty: np.copyto(duty[:, 1:], 0.0))
+    bench = changed(flight, "duty", put(slice(None), 0.0, slice(1, None)))
     assert any("duty_2 is 0 throughout" in one.words for one in rejections(bench))
     assert np.isfinite(judged(bench)[0].duty).all()
 
 
-@pytest.mark.parametrize(
-    ("field", "number"),
-    [("gyro", np.radians(-999.0)), ("accelerometer", 1e30), ("attitude", np.radians(-9999.0))],
-)
-def test_one_number_far_from_all_others_and_repeated_stands_for_no_value(flight, field, number):
-    def put(values):
-        values[700::400, 1] = number
-
-    left, said, verdict = judged(changed(flight, field, put))
-    count = len(range(700, len(flight), 400))
-    assert np.isnan(getattr(left, field)[700::400]).all()
-    assert missing(left, field).sum() == count
-    assert len(said) == 1, said
-    (line,) = said
-    assert f"in {count} of {len(flight)} samples" in line
-    assert line.removeprefix("made.csv: taken as missing: ") in verdict
-
-
-@pytest.mark.parametrize(
-    ("field", "number"),
-    [
-        *(("gyro", np.radians(-999.0)), ("accelerometer", 1e30), ("attitude", np.radians(-9999.0))),
-        *(("duty", -1.0 / 65535.0), ("duty", -1.0), ("duty", 255.0), ("rotor_rev_s", -1.0 / 60.0)),
-    ],
-)
-def test_one_number_of_a_block_of_rows_stands_for_no_value(flight, field, number):
-    def put(values):
-        values[3000:6000, 1] = number
-
-    if field == "rotor_rev_s":
-        flight = changed(flight, field, lambda values: values.__setitem__(..., 300 * flight.duty))
-    left, said, _ = judged(changed(flight, field, put))
-    assert missing(left, field)[3000:6000].all()
-    assert missing(left, field).sum() == 3000
-    assert ["stands for no value" in one for one in said] == [True], said
-
-
-def test_a_count_of_minus_one_in_the_duty_stands_for_no_value(flight):
-    def put(values):
-        values[::3] = -1.0 / 4095.0
-
-    left, said, _ = judged(changed(flight, "duty", put))
-    assert missing(left, "duty").sum() == len(flight[::3])
-    assert "stands for no value" in said[0]
-
-
-def test_a_battery_of_65535_is_missing_where_it_is_said_and_nowhere_else(flight):
-    def put(values):
-        values[::3] = 65535.0
-
-    left, said, _ = judged(changed(flight, "battery_v", put))
-    assert missing(left, "battery_v").sum() == len(flight[::3])
-    assert "battery is exactly 65535 V" in said[0]
-
-
-def test_a_battery_of_nothing_until_it_is_measured_stands_for_no_value(flight):
-    left, said, verdict = judged(
-        changed(flight, "battery_v", lambda values: values.__setitem__(slice(3000), 0.0))
-    )
-    assert missing(left, "battery_v").sum() == 3000
-    assert said == [
-        "made.csv: taken as missing: battery is exactly 0 V in 3000 of 9990 samples, far from all"
-        " others: it stands for no value"
-    ]
-    assert "went down" not in verdict
-
-
 def test_two_blows_as_hard_as_each_other_are_no_sign_of_no_value(flight):
-    def blows(force):
-        force[4000, 2] = force[6000, 2] = 150.0
-
+    blows = put([4000, 6000], 150.0, 2)
     left, said, _ = judged(changed(flight, "accelerometer", blows))
     assert (missing(left, "accelerometer").sum(), said) == (0, [])
 
 
 def test_an_attitude_that_never_changes_while_the_gyro_turns_is_missing(flight):
-    def level(angles):
-        angles[:] = [0.0, 0.0, 0.3]
-
-    def north(angles):
-        angles[:, 1] = 0.0
-
-    turning = changed(flight, "gyro", lambda rates: rates.__iadd__(swinging(len(rates))))
-    left, said, verdict = judged(changed(turning, "attitude", level))
+    turning = changed(flight, "gyro", swing)
+    left, said, verdict = judged(changed(turning, "attitude", put(slice(None), [0.0, 0.0, 0.3])))
     assert missing(left, "attitude").all()
     assert "the attitude never changes while the gyro turns" in said[0]
     assert "the attitude never changes while the gyro turns" in verdict
-    left, said, _ = judged(changed(turning, "attitude", north))
+    left, said, _ = judged(changed(turning, "attitude", put(slice(None), 0.0, 1)))
     assert np.isnan(left.attitude[:, 1]).all()
     assert "pitch never changes while the gyro turns" in said[0]
-
-
-def test_an_attitude_that_stands_for_seconds_while_the_gyro_turns_is_missing_there(flight):
-    def stands(angles):
-        angles[5000:7000] = angles[5000]
-
-    turning = changed(flight, "gyro", lambda rates: rates.__iadd__(swinging(len(rates))))
-    left, said, _ = judged(changed(turning, "attitude", stands))
-    assert set(np.flatnonzero(missing(left, "attitude"))) == set(range(5001, 7000))
-    assert "the attitude stands for 4.0 s while the gyro turns" in said[0]
-
-
-def swinging(rows):
-    """Rates of 30 deg/s (n, 3) at 1 Hz, from 8 s on: it lies on the ground before."""
-    rates = np.radians(30.0) * np.sin(2 * np.pi * np.arange(rows) / SECOND)
-    return np.where(np.arange(rows) < 8 * SECOND, 0.0, rates)[:, None] * np.ones(3)
 
 
 def test_a_yaw_of_ten_million_degrees_cannot_be_and_one_that_counts_turns_can(flight):
@@ -285,6 +229,6 @@ def test_a_yaw_of_ten_million_degrees_cannot_be_and_one_that_counts_turns_can(fl
     ],
 )
 def test_motors_that_never_change_while_the_craft_turns_are_a_fault(flight, duty, said):
-    turning = changed(flight, "gyro", lambda rates: rates.__iadd__(swinging(len(rates))))
+    turning = changed(flight, "gyro", swing)
     _, _, verdict = judged(changed(turning, "duty", lambda values: values.fill(duty)))
     assert said in verdict

@@ -1,7 +1,5 @@
 """Tables as people have them: read as what they are, or refused with what is missing."""
 
-import io
-
 import numpy as np
 import pandas
 import pytest
@@ -12,9 +10,8 @@ from groundstation.errors import BadInputError
 from groundstation.paths import digest
 from groundstation.recording.formats import open_for_analysis, open_recording
 from groundstation.recording.map_guess import columns_of, guess_map
-from groundstation.recording.quality import inspect_recording
+from groundstation.recording.quality import inspect_recording, rejected
 from groundstation.recording.session import Rows
-from groundstation.recording.soundness import rejected
 
 ROWS, HZ = 400, 100.0
 
@@ -57,8 +54,9 @@ def require_the_flight(path, rows=ROWS, hz=HZ, **options):
 # -- layouts ---------------------------------------------------------------------------------------
 
 
-def test_the_index_that_pandas_writes_is_no_column(tmp_path):
-    require_the_flight(saved(tmp_path, flight(), index=True))
+@pytest.mark.parametrize("label", [None, "n"])
+def test_the_index_that_pandas_writes_is_no_column(tmp_path, label):
+    require_the_flight(saved(tmp_path, flight(), index=True, index_label=label))
 
 
 def test_rows_that_end_in_a_comma_have_no_further_column(tmp_path):
@@ -212,18 +210,6 @@ def test_a_date_that_is_no_time_of_a_flight_is_left_alone(tmp_path):
     require_the_flight(tmp_path / "flight.parquet")
 
 
-def test_a_duration_as_pandas_writes_it_is_a_time(tmp_path):
-    table = timed(Timestamp=STAMPS - STAMPS[0])
-    require_the_flight(saved(tmp_path, table))
-    table.to_parquet(tmp_path / "flight.parquet")
-    require_the_flight(tmp_path / "flight.parquet")
-
-
-def test_a_date_beside_its_time_of_the_day_is_read(tmp_path):
-    table = timed(Date=STAMPS.strftime("%Y-%m-%d"), Time=STAMPS.strftime("%H:%M:%S.%f"))
-    require_the_flight(saved(tmp_path, table))
-
-
 @pytest.mark.parametrize("first", ["whole", "rest"])
 @pytest.mark.parametrize(
     ("whole", "rest", "count"),
@@ -246,9 +232,17 @@ def test_seconds_and_their_fraction_in_two_columns_are_one_time(
     require_the_flight(tmp_path / "flight.parquet")
 
 
-def test_an_index_of_dates_without_a_name_is_the_time(tmp_path):
-    table = timed().set_index(STAMPS)
-    require_the_flight(saved(tmp_path, table, index=True))
+@pytest.mark.parametrize(
+    ("table", "index"),
+    [
+        (timed(Timestamp=STAMPS - STAMPS[0]), False),
+        (timed(Date=STAMPS.strftime("%Y-%m-%d"), Time=STAMPS.strftime("%H:%M:%S.%f")), False),
+        (timed().set_index(STAMPS), True),
+    ],
+    ids=["a duration", "a date beside its time of the day", "an index without a name"],
+)
+def test_a_time_as_pandas_keeps_it_is_read(tmp_path, table, index):
+    require_the_flight(saved(tmp_path, table, index=index))
     table.to_parquet(tmp_path / "flight.parquet")
     require_the_flight(tmp_path / "flight.parquet")
 
@@ -390,27 +384,23 @@ def test_of_motor_m1_alone_it_is_said_that_the_duty_is_not_known(tmp_path):
     assert "the motors' duty is not known" in verdict(saved(tmp_path, table))
 
 
-@pytest.mark.parametrize("end", ["physical.csv", "table.mcap"])
+@pytest.mark.parametrize("end", ["physical.csv", "table.mcap", "packets.csv"])
 def test_a_converted_file_still_says_that_the_duty_is_not_known(tmp_path, end):
+    """In the file, or, where that cannot, at its writing."""
     table = flight()
     table.columns = [one.replace("pwm.m", "motor.m").replace("_pwm", "") for one in table.columns]
     made = tmp_path / end
-    physical = ["--physical"] if end.endswith("csv") else []
+    physical = ["--physical"] if end.startswith("physical") else []
     done = CliRunner().invoke(app, ["convert", str(saved(tmp_path, table)), str(made), *physical])
     assert done.exit_code == 0
+    if end == "packets.csv":
+        assert "the motors' duty is not known" in done.stderr
+        return
     assert "the motors' duty is not known" in verdict(made)
     given = open_recording(tmp_path / "flight.csv").samples.duty
     assert open_recording(made).samples.duty == pytest.approx(given)
     (told,) = rejected(open_for_analysis(made))
     assert "constants may be 25 % off" in told
-
-
-def test_packets_of_a_duty_that_is_not_known_are_written_with_a_warning(tmp_path):
-    table = flight()
-    table.columns = [one.replace("pwm.m", "motor.m").replace("_pwm", "") for one in table.columns]
-    path = saved(tmp_path, table)
-    done = CliRunner().invoke(app, ["convert", str(path), str(tmp_path / "packets.csv")])
-    assert "the motors' duty is not known" in done.stderr
 
 
 def long_flight(made):
@@ -457,6 +447,12 @@ def test_more_than_four_motors_that_move_are_no_quadrotors(tmp_path, more):
     assert f"not of a quadrotor ({4 + more} motors move" in inspect_recording(recording)["verdict"]
     table.to_parquet(tmp_path / "hexa.parquet")
     assert "not of a quadrotor" in verdict(tmp_path / "hexa.parquet")
+    (tmp_path / "map.toml").write_text(
+        'time = { column = "Timestamp", unit = "ms" }\n[tables]\nmore = ["acc.x"]\n'
+        '[duty]\nm1 = { column = "pwm.m1_pwm", unit = "16-bit" }\n'
+    )
+    mapped = open_recording(tmp_path / "hexa.parquet", column_map=tmp_path / "map.toml")
+    assert mapped.tables["more"].columns["acc.x"] == pytest.approx(table["acc.x"])
 
 
 def test_outputs_that_idle_beside_four_motors_do_not_make_another_craft(tmp_path):
@@ -464,13 +460,6 @@ def test_outputs_that_idle_beside_four_motors_do_not_make_another_craft(tmp_path
     table["pwm.m5_pwm"] = 0
     table["pwm.m6_pwm"] = np.where(np.arange(ROWS) < 20, 0, 900)
     assert np.isfinite(open_recording(saved(tmp_path, table)).samples.duty).all()
-
-
-def test_a_table_can_be_read_from_memory_formats_that_pandas_writes(tmp_path):
-    buffer = io.StringIO()
-    flight().to_csv(buffer, index=True, index_label="n")
-    (tmp_path / "flight.csv").write_text(buffer.getvalue())
-    require_the_flight(tmp_path / "flight.csv")
 
 
 def test_a_folder_has_a_fingerprint_that_changes_with_its_files(tmp_path):

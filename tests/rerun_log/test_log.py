@@ -4,15 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from groundstation.rerun_log.channels import CRAFT, GROUPS
 from groundstation.rerun_log.log import quaternions, sample_columns
 from groundstation.telemetry.samples import empty_samples
 
 BY_COLUMN = {group.column: group for group in GROUPS}
-ANGLES = st.floats(-3.125, 3.125, width=32)
 
 
 def shown(samples, column):
@@ -37,27 +34,6 @@ def test_people_read_their_own_units(column, si, people_read):
     samples = empty_samples(2)
     getattr(samples, column)[:] = si
     np.testing.assert_allclose(shown(samples, column), people_read, rtol=1e-6)
-
-
-@given(roll=ANGLES, pitch=ANGLES, yaw=ANGLES)
-def test_the_pose_is_the_rotation_of_thesis_eq_3_6(roll, pitch, yaw):
-    (cx, cy, cz), (sx, sy, sz) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    body_to_world = np.array(
-        [
-            [cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz],
-            [cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz],
-            [-sy, sx * cy, cx * cy],
-        ]
-    )
-    x, y, z, w = quaternions(np.array([[roll, pitch, yaw]], np.float32))[0].astype(float)
-    from_quaternion = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    np.testing.assert_allclose(from_quaternion, body_to_world, atol=2e-6)
 
 
 def test_positive_pitch_puts_the_drawn_nose_down():

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
-from firmware_sim.persistent import CLEAR, STORE
+from firmware_sim.contents import CLEAR, STORE
 from groundstation.errors import GroundStationError
 from groundstation.links.command import LIFE_S, LONGEST_S
 from groundstation.service.commander import STOOD_S, WATCH_S

@@ -18,8 +18,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
-from support.situations import Situation
-from support.witness import counted
+from support.situations import Situation, counted
 
 USUAL = 300
 STEPS = int(os.environ.get("SAFETY_STEPS", USUAL))

@@ -50,6 +50,11 @@ class Highest(Flying):
             self.wait(WATCH_S)
         return self.world.now_s - begun_s
 
+    def says(self, height_m, tilt_deg):
+        """Of itself, from now on: at rest, so high, leaning by so much."""
+        place = type(self.one._place(self.one.craft.state()))
+        self.one._place = lambda _: place(0, 0, height_m, 0, 0, 0, tilt_deg, self.world.now_s)
+
     def has_landed(self):
         return self.height_m < 0.1 and self.fastest_m_s < SOFT_M_S and not self.one.turns
 
@@ -189,9 +194,7 @@ def test_a_craft_that_tumbles_while_it_is_landed_has_its_motors_cut(flying):
     token = flying.lease()
     flying.fly(token)
     flying.commander.release(token)
-    place = flying.one._place
-    flying.one._place = lambda state: place(state).__class__(0, 0, 0.5, 0, 0, 0, 51.0,
-                                                             flying.world.now_s)  # fmt: skip
+    flying.says(0.5, 51.0)
     flying.wait(0.3)
     assert not flying.one.turns
     assert any("leans by 51 degrees" in text for text in flying.told)
@@ -200,9 +203,7 @@ def test_a_craft_that_tumbles_while_it_is_landed_has_its_motors_cut(flying):
 def test_a_craft_that_leans_too_far_cannot_be_landed_and_its_client_s_land_stops_it(flying):
     token = flying.lease()
     flying.fly(token)
-    place = flying.one._place
-    flying.one._place = lambda state: place(state).__class__(0, 0, 0.5, 0, 0, 0, 60.0,
-                                                             flying.world.now_s)  # fmt: skip
+    flying.says(0.5, 60.0)
     flying.wait(0.06)
     with pytest.raises(BadInputError, match="leans by 60 degrees"):
         flying.run(flying.commander.operator.land())
@@ -223,9 +224,7 @@ def test_a_link_that_is_lost_while_the_craft_is_landed_is_said_and_tried_no_more
 @pytest.mark.parametrize("who", ["nobody", "a client that has not taken off", "its own client"])
 def test_land_begins_no_motor_of_a_craft_that_does_not_fly(flying, who):
     """It may be in somebody's hand, a metre above the floor."""
-    place = flying.one._place
-    flying.one._place = lambda state: place(state).__class__(0, 0, 1.0, 0, 0, 0, 0.0,
-                                                             flying.world.now_s)  # fmt: skip
+    flying.says(1.0, 0.0)
     land = flying.commander.operator.land
     if who != "nobody":
         token = flying.lease()

@@ -1,38 +1,35 @@
 """What becomes of parameters that a client wrote and nobody settled: they are noted before they are
 sent, and the former values are back as soon as the craft stands."""
 
-import asyncio
 import json
+import os
+import signal
+from pathlib import Path
 
 import pytest
 
-from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
+from groundstation.cli import flying
+from groundstation.cli.flying import write_parameters
+from groundstation.errors import (
+    BadInputError,
+    GroundStationError,
+    LinkError,
+    NotAuthorisedError,
+    TakenError,
+)
+from groundstation.service.client import Pilot
 from groundstation.service.parameters import AGAIN_S, LOOKS_S, Changes
-from support.worlds import GAINS, Flying
+from support.worlds import GAINS, Tuning
 
 ROLL, PITCH, YAW = GAINS
 
 
-class Tuned(Flying):
-    """The daemon's task that writes back runs too."""
-
-    def begin(self, changes):
-        super().begin(changes)
-        self.path = changes
-        self.restoring = self.world.create_task(self.commander.keep_restored())
-
+class Tuned(Tuning):
     def kill_daemon(self):
         """Nothing of it is done any more; the craft's own limits stop the motors."""
-        self.restoring.cancel()
-        self.run(asyncio.sleep(0.0))
+        self.end()
         self.world.pass_time(3.0)
         self.one.lose()
-
-    def write(self, token, **values):
-        return self.looked(self.commander.write_parameters(token, values))
-
-    def gains(self):
-        return {name: self.one.craft.get_parameter(name) for name in GAINS}
 
     def noted(self):
         return json.loads(self.path.read_text()) if self.path.exists() else {}
@@ -42,9 +39,7 @@ class Tuned(Flying):
 def tuned(tmp_path):
     made = Tuned("crazyflie21", tmp_path / "state" / "changed.json")
     yield made
-    made.restoring.cancel()
-    made.run(asyncio.sleep(0.0))
-    made.world.close()
+    made.close()
 
 
 def unproven(tuned):
@@ -135,9 +130,7 @@ def test_nothing_is_written_to_a_craft_that_still_flies(tmp_path):
                 tuned.run(tuned.commander.restore())
     tuned.wait(4.0)
     assert tuned.gains()[ROLL] != 240.0
-    tuned.restoring.cancel()
-    tuned.run(asyncio.sleep(0.0))
-    tuned.world.close()
+    tuned.close()
 
 
 def test_a_daemon_that_was_killed_writes_back_as_soon_as_it_is_there_again(tuned):
@@ -320,3 +313,126 @@ def test_the_former_value_itself_needs_no_note(tmp_path):
     changes.note("aa", {ROLL: 180.0}, {ROLL: 250.0}, client="", uri="")
     changes.note("aa", {ROLL: 250.0}, {ROLL: 180.0}, client="", uri="")
     assert changes.of("aa")[ROLL].written == (180.0,)
+
+
+class Local(Pilot):
+    """The client; its requests go to the commander in this process."""
+
+    def __init__(self, tuned):
+        super().__init__(Path("/nowhere"), "pid fly")
+        self._tuned = tuned
+
+    def ask(self, method, route, body=None):
+        tuned, commander = self._tuned, self._tuned.commander
+        match method, route:
+            case _, "/command/acquire":
+                return {"token": commander.acquire(body["client"]).token, "holds_place": False}
+            case _, "/command/release":
+                return commander.release(**body)
+            case "GET", "/command/parameters":
+                return {"values": commander.parameters()}
+            case "POST", "/command/parameters":
+                written = commander.write_parameters(body["token"], body["values"])
+                return {"values": tuned.looked(written)}
+            case _:
+                return {}
+
+
+def refusing(tuned, monkeypatch, name, values):
+    """Have the craft not confirm these values of a parameter."""
+    write = tuned.one._write_parameter
+
+    async def some(written, value):
+        if (written, value) in {(name, one) for one in values}:
+            raise LinkError(f"parameter {name} was not confirmed")
+        return await write(written, value)
+
+    monkeypatch.setattr(tuned.one, "_write_parameter", some)
+
+
+def test_what_was_written_half_way_is_written_back(tuned, monkeypatch):
+    before = tuned.gains()
+    refusing(tuned, monkeypatch, PITCH, [190.0])
+    with pytest.raises(LinkError, match="was not confirmed"), Local(tuned) as pilot:
+        write_parameters(pilot, {ROLL: 180.0, PITCH: 190.0, YAW: 60.0})
+    tuned.wait(4.0)
+    assert tuned.gains() == before
+    assert tuned.noted() == {}
+
+
+def test_gains_do_not_stay_without_a_word_where_another_parameter_is_not_put_back(
+    tuned, monkeypatch
+):
+    before = tuned.gains()
+    monkeypatch.setattr(flying, "begin_recording", dict)
+    monkeypatch.setattr(flying, "end_recording", lambda recording, why: "flight.mcap")
+    refusing(tuned, monkeypatch, PITCH, [before[PITCH]])
+    with Local(tuned) as pilot:
+        flight = flying.Flight(pilot)
+        flight.change({ROLL: 180.0}, stays=True)
+        flight.change({PITCH: 100.0})
+        ended = flight.fly(lambda signals: flying.Ended("", flying.MOTORS_OFF), "begins")
+    with pytest.raises(GroundStationError, match="what was written does not stay"):
+        ended.require("flight")
+    monkeypatch.undo()
+    tuned.wait(4.0)
+    assert tuned.gains() == before
+
+
+@pytest.mark.parametrize("when", ["put back", "recorded"])
+def test_an_interrupt_behind_a_flight_is_told(tuned, monkeypatch, when):
+    def interrupt(*given):
+        os.kill(os.getpid(), signal.SIGINT)
+        return "flight.mcap"
+
+    monkeypatch.setattr(flying, "begin_recording", dict)
+    monkeypatch.setattr(flying, "end_recording", lambda recording, why: "flight.mcap")
+    if when == "recorded":
+        monkeypatch.setattr(flying, "end_recording", interrupt)
+    with Local(tuned) as pilot:
+        flight = flying.Flight(pilot)
+        flight.change({ROLL: 180.0})
+        write = pilot.write
+
+        def interrupted(values):
+            if when == "put back" and values == flight.former:
+                interrupt()
+            return write(values)
+
+        monkeypatch.setattr(pilot, "write", interrupted)
+        ended = flight.fly(lambda signals: flying.Ended("", flying.MOTORS_OFF), "begins")
+    assert str(ended.interrupted) == "Ctrl-C"
+    with pytest.raises((KeyboardInterrupt, GroundStationError), match="Ctrl-C"):
+        ended.require("flight")
+
+
+def test_what_was_written_back_is_not_told_of_a_craft_that_was_changed_since(tuned):
+    before = tuned.gains()
+    tuned.write(tuned.lease("learn"), **{ROLL: 180.0})
+    tuned.wait(9.0)
+    assert tuned.run(tuned.commander.restore()) == {ROLL: before[ROLL]}
+    token = tuned.lease("pid fly")
+    tuned.write(token, **{ROLL: 120.0})
+    with pytest.raises(TakenError, match="pid fly commands"):
+        tuned.run(tuned.commander.restore())
+    tuned.commander.release(token)
+    assert tuned.run(tuned.commander.restore()) == {}
+    assert tuned.gains()[ROLL] == 120.0
+
+
+@pytest.mark.parametrize("flies", [False, True], ids=["stands", "flies"])
+def test_a_stop_ends_the_lease_of_a_craft_that_is_out_of_reach(tuned, flies):
+    token = tuned.lease("a program")
+    tuned.steer(token, 0.3, thrust=0)
+    if flies:
+        tuned.steer(token, 0.5)
+        assert tuned.one.turns
+    tuned.one.lose()
+    with pytest.raises(LinkError, match="the stop was not sent"):
+        tuned.run(tuned.commander.operator.stop())
+    tuned.one.connect()
+    tuned.wait(0.2)
+    with pytest.raises(NotAuthorisedError, match="the operator has stopped the motors"):
+        tuned.commander.keep(token)
+    tuned.wait(0.8)  # sooner than the firmware's own limit
+    assert not tuned.one.turns

@@ -3,7 +3,7 @@
 import asyncio
 
 from groundstation.links.command import CommandState
-from groundstation.service import overview
+from groundstation.service import control
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.lease import STOPPED
 from groundstation.service.station import Station
@@ -31,9 +31,9 @@ def test_the_commands_follow_the_telemetry_to_another_craft(tmp_path):
                 lambda: commander.link.state is CommandState.CONNECTED, "connected again"
             )
             assert await commander.operator.stop() == STOPPED
-            assert overview.status_of(station)["command"]["out_of_reach"] == ""
+            assert control.status_of(station)["command"]["out_of_reach"] == ""
             await station.craft.connect_command(one.uri)
-            (reason,) = [text for text in overview.problems(station) if "stopped from here" in text]
+            (reason,) = [text for text in control.problems(station) if "stopped from here" in text]
             assert other.uri in reason
             assert one.uri in reason
         finally:

@@ -10,11 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from groundstation.cli.flying import Flight as FlightOfPrograms
+from groundstation.cli.flying import commanded, stopped_after
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot, ask
 from groundstation.service.lease import LANDED, STOPPED
 from support.crafts import served
-from support.daemons import Daemon
+from support.daemons import Daemon, groundstation
 from support.waiting import until
 
 CRAFT = {"craft": "crazyflie21", "plant": "reduced"}
@@ -120,10 +122,12 @@ class Flight:
 
     def __init__(self, served_craft):
         self.craft, self.down_m_s, self.aside_m_s = served_craft.craft, 0.0, 0.0
+        self.highest_m = 0.0
         served_craft.each_step = self._look
 
     def _look(self):
         state = self.craft.state()
+        self.highest_m = max(self.highest_m, state.position_m[2])
         if 0.02 < state.position_m[2] < 0.2:
             x_m_s, y_m_s, z_m_s = state.velocity_m_s
             self.down_m_s = max(self.down_m_s, -z_m_s)
@@ -157,6 +161,28 @@ def hover(pilot, flight, seconds=1.0):
         time.sleep(0.02)
     flight.down_m_s = flight.aside_m_s = 0.0
     return answer
+
+
+def test_a_light_craft_whose_firmware_s_least_thrust_carries_it_is_flown_and_landed(tmp_path):
+    light = {"mass_change": {"percent": -8.0}}
+    with (
+        served(craft="brushless", flow_deck=True, effects=light) as craft,
+        Daemon(tmp_path, "--link", craft.uri) as daemon,
+    ):
+        daemon.status_when(lambda status: status["command"]["state"] == "connected", "it")
+        flight, least = Flight(craft), craft.craft.get_parameter("posCtlPid.thrustMin")
+        ask(daemon.socket, "POST", "/command/arm", {"on": True})
+        flown = groundstation(
+            *("pid", "fly", "--thrust", f"height:{HEIGHT_M}", "--axis", "roll", "--repeat", "1"),
+            *("--yes", "--json"),
+            socket_path=daemon.socket,
+            cwd=tmp_path,
+        )
+        assert flown.returncode == 0, flown.stderr
+        assert json.loads(flown.stdout)["restored"] == ["posCtlPid.thrustMin"]
+        flight.require_landed()
+        assert flight.highest_m < 1.3 * HEIGHT_M
+        assert craft.craft.get_parameter("posCtlPid.thrustMin") == least
 
 
 def told(daemon, part):
@@ -212,6 +238,30 @@ def test_a_killed_daemon_s_successor_writes_the_former_values_back(tmp_path):
             with Pilot(daemon.socket, "another") as pilot:
                 assert pilot.parameters()[name] == before
             assert daemon.stop() == 0
+
+
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("stays", [True, False], ids=["new gains", "the former gains"])
+def test_a_flight_whose_daemon_is_gone_before_the_craft_is_given_back_does_not_say_that_gains_stay(
+    tmp_path, monkeypatch, ending, stays
+):
+    name = "pid_rate.roll_kp"
+    ends = pytest.raises(GroundStationError, match="what was written to the craft does not stay")
+    with served(**CRAFT) as craft, Daemon(tmp_path, "--link", craft.uri) as daemon:
+        monkeypatch.setenv("GROUNDSTATION_SOCKET", str(daemon.socket))
+        daemon.status_when(lambda status: status["command"]["state"] == "connected", "it")
+        with ends if stays else contextlib.nullcontext(), commanded("pid fly") as pilot:
+            before = craft.craft.get_parameter(name)
+            flight = FlightOfPrograms(pilot)
+            flight.change({name: 180.0}, stays=stays)
+            flown = flight.fly(
+                lambda signals: stopped_after(lambda: fly(pilot, craft) or "", pilot, signals),
+                "pid fly begins",
+            )
+            assert flown.why == ""
+            assert list(flown.restored) == ([] if stays else [name])
+            assert craft.craft.get_parameter(name) == (180.0 if stays else before)
+            daemon.stop(ending)
 
 
 def test_a_program_begun_before_a_stop_does_not_command_again(tmp_path):

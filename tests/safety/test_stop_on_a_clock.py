@@ -111,6 +111,20 @@ def test_a_setpoint_s_age_counts_from_when_it_was_made_and_not_from_its_arrival(
     assert flying.one.outbox.expired == (not is_sent)
 
 
+def test_the_failsafe_counts_from_when_the_last_setpoint_was_made_and_not_from_its_arrival(flying):
+    """One that waited in a socket, of a client that is dead, flies the craft no longer for that."""
+    token = flying.lease()
+    flying.steer(token, 0.3)
+    made_s = flying.world.now_s - 0.4
+    flying.commander.setpoint(token, 5.0, 0.0, 0.0, HOVER, None, made_s)
+    flying.wait(1.0)
+    after = [one for one in flying.one.delivered if one.handed_s >= made_s + 0.4]
+    level_s = min(one.handed_s for one in after if one.level)
+    off_s = min(one.handed_s for one in after if one.value == 0)
+    assert level_s - made_s <= 0.4 + WATCH_S + ROUNDING_S, "silent for longer than 0.2 s already"
+    assert 0.0 <= off_s - made_s - 0.6 + ROUNDING_S <= WATCH_S + 2 * ROUNDING_S
+
+
 @pytest.mark.parametrize("stood_s", [1.0, 4.0])
 def test_what_was_said_before_the_daemon_stood_still_turns_no_motor(flying, stood_s):
     """The client is dead, its setpoint waits in a socket, and its lease may still be in force."""
@@ -196,6 +210,15 @@ def test_what_is_tried_is_tried_again_and_stopped_is_not_said_before(flying):
     flying.wait(2.0)
     assert len(tried(flying.one)) >= 4
     assert not any("motors stopped" in text for text in flying.told)
+
+
+def test_a_daemon_ends_though_the_motors_go_on_turning(flying):
+    flying.steer(flying.lease(), 0.5)
+    flying.one.held, flying.one.craft.emergency_stop = HOVER, lambda: None
+    begun_s = flying.world.now_s
+    flying.run(flying.commander.close())
+    assert 5.0 < flying.world.now_s - begun_s < 12.0
+    assert len(tried(flying.one)) >= 4
 
 
 def test_nothing_is_known_of_motors_without_telemetry(flying):

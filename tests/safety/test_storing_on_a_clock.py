@@ -5,38 +5,21 @@ import asyncio
 
 import pytest
 
-from firmware_sim.persistent import CLEAR, STORE
+from firmware_sim.contents import CLEAR, STORE
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
 from groundstation.service.parameters import Changes
-from support.worlds import GAINS, HOVER, Flying
+from support.worlds import GAINS, HOVER, Tuning
 
 ROLL, PITCH, YAW = GAINS
 WRITES = (STORE, CLEAR)
 
 
-class Storing(Flying):
-    """The daemon's task that writes back and reads what is stored runs too."""
-
-    def begin(self, changes):
-        super().begin(changes)
-        self.changes = changes
-        self.keeping = self.world.create_task(self.commander.keep_restored())
-
-    def end(self):
-        self.keeping.cancel()
-        self.run(asyncio.sleep(0.0))
-
+class Storing(Tuning):
     def store(self, token, *names):
         return self.looked(self.commander.stored.store(token, names))
 
     def clear(self, token, *names):
         return self.looked(self.commander.stored.clear(token, names))
-
-    def write(self, token, **values):
-        return self.looked(self.commander.write_parameters(token, values))
-
-    def gains(self):
-        return {name: self.one.craft.get_parameter(name) for name in GAINS}
 
     def switched_off_and_on(self):
         self.one.lose()
@@ -52,8 +35,7 @@ class Storing(Flying):
 def storing(tmp_path):
     made = Storing("crazyflie21", tmp_path / "state" / "changed.json")
     yield made
-    made.end()
-    made.world.close()
+    made.close()
 
 
 def test_stored_gains_survive_a_power_cycle_and_cleared_ones_do_not(storing):
@@ -94,7 +76,7 @@ def test_what_was_stored_is_not_put_back_where_the_client_then_vanishes(storing)
     token = storing.lease("learn")
     storing.write(token, **{ROLL: 180.0, PITCH: 190.0})
     storing.store(token, ROLL)
-    assert Changes(storing.changes).of("udp://one:1").keys() == {PITCH}
+    assert Changes(storing.path).of("udp://one:1").keys() == {PITCH}
     storing.wait(storing.commander.limits.lease_s + 4.0)
     assert storing.gains()[ROLL] == 180.0
     assert storing.gains()[PITCH] != 190.0

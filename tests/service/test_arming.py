@@ -1,7 +1,5 @@
 """What a craft is asked for by its operator, over cflib and UDP, and what it says then."""
 
-import asyncio
-
 import pytest
 
 from firmware_sim.supervisor import CRASHED, FLYING
@@ -48,8 +46,8 @@ async def crash(craft, link):
     ("kind", "protocol", "afterwards"),
     [("crazyflie21", 10, ""), ("crazyflie21", 12, ""), ("brushless", 12, "not armed")],
 )
-def test_a_crashed_craft_recovers_when_it_stands_upright_again(kind, protocol, afterwards):
-    async def scenario(craft):
+async def test_a_crashed_craft_recovers_when_it_stands_upright_again(kind, protocol, afterwards):
+    with served(craft=kind, protocol=protocol) as craft:
         link = CrazyflieLink(craft.uri)
         kinds = []
         link.on_entry = lambda entry: kinds.append(entry["kind"])
@@ -70,12 +68,9 @@ def test_a_crashed_craft_recovers_when_it_stands_upright_again(kind, protocol, a
         assert kinds.count("recover") == 1
         await link.close()
 
-    with served(craft=kind, protocol=protocol) as craft:
-        asyncio.run(scenario(craft))
 
-
-def test_a_craft_that_says_what_is_wrong_with_it_is_not_even_asked_to_arm():
-    async def scenario(craft):
+async def test_a_craft_that_says_what_is_wrong_with_it_is_not_even_asked_to_arm():
+    with served(craft="brushless", protocol=12) as craft:
         link = CrazyflieLink(craft.uri)
         kinds = []
         link.on_entry = lambda entry: kinds.append(entry["kind"])
@@ -87,26 +82,20 @@ def test_a_craft_that_says_what_is_wrong_with_it_is_not_even_asked_to_arm():
         assert kinds == []
         await link.close()
 
-    with served(craft="brushless", protocol=12) as craft:
-        asyncio.run(scenario(craft))
 
-
-def test_firmware_of_2014_has_nothing_to_recover_from():
-    async def scenario(craft):
+async def test_firmware_of_2014_has_nothing_to_recover_from():
+    with served() as craft:
         link = CrazyflieLink(craft.uri)
         await link.open()
         with pytest.raises(BadInputError, match="does not say that it has crashed"):
             await ask_to_recover(link)
         await link.close()
 
-    with served() as craft:
-        asyncio.run(scenario(craft))
 
-
-def test_the_failsafe_goes_on_where_the_craft_does_not_know_its_height_any_more():
+async def test_the_failsafe_goes_on_where_the_craft_does_not_know_its_height_any_more():
     """Nothing may keep him from stopping the motors then."""
 
-    async def scenario(craft):
+    with served(craft="crazyflie21") as craft:
         link = CrazyflieLink(craft.uri)
         entries = []
         link.on_entry = entries.append
@@ -118,6 +107,3 @@ def test_the_failsafe_goes_on_where_the_craft_does_not_know_its_height_any_more(
         send_level(link, 0, "dead man")
         assert [entry["client"] for entry in entries] == ["dead man"]
         await link.close()
-
-    with served(craft="crazyflie21") as craft:
-        asyncio.run(scenario(craft))

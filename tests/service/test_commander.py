@@ -22,20 +22,15 @@ from groundstation.service.lease import LANDED
 from support import RECORDINGS
 from support.crafts import run_flat
 from support.programs import free_port
-from support.stations import only_recording as recorded
-from support.stations import serve
 from support.waiting import in_real_time, until
+from support.worlds import only_recording as recorded
+from support.worlds import serve
 
 HOVER = 40000
 PATIENT = {"level_s": 1.0, "stop_s": 4.0}
 """The failsafe's limits where a loaded machine must not meet them."""
 FRESH_S = 10.0
 """Nor the age at which a setpoint is refused."""
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "control.sock"
 
 
 @pytest.fixture

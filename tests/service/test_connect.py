@@ -2,6 +2,7 @@
 
 import json
 import socket
+from functools import partial
 
 import pytest
 
@@ -10,18 +11,15 @@ from groundstation.service.client import Pilot, ask
 from groundstation.service.config import Config, RecordingConfig
 from support.daemons import in_process
 from support.programs import free_port
-from support.stations import serve
 from support.waiting import until
+from support.worlds import serve
 
 
 @pytest.fixture
-def talk(tmp_path):
+def talk(tmp_path, path):
     """talk(conversation): with a station that was given no command link."""
     config = Config(recording=RecordingConfig(folder=str(tmp_path), enabled=False))
-    path = tmp_path / "control.sock"
-
-    def asked(method, route, body=None):
-        return ask(path, method, route, body)
+    asked = partial(ask, path)
 
     def streaming(conversation):
         until(lambda: asked("GET", "/status")["link"]["state"] == "streaming", "the craft")

@@ -11,7 +11,7 @@ import pytest
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.service.client import Client, ask
 from groundstation.service.config import Config, ControlSocket, LinkConfig, RecordingConfig
-from support import stations
+from support import worlds
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def serve(tmp_path, path):
         link=LinkConfig(name="stand-in"),
         recording=RecordingConfig(folder=str(tmp_path / "sessions"), enabled=False),
     )
-    return lambda conversation: stations.serve(config, path, lambda _: conversation())
+    return lambda conversation: worlds.serve(config, path, lambda _: conversation())
 
 
 def test_the_socket_and_its_folder_are_its_owners_alone(path):

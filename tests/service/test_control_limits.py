@@ -21,14 +21,9 @@ from support.waiting import until
 
 
 @pytest.fixture
-def path(tmp_path):
-    return tmp_path / "control.sock"
-
-
-@pytest.fixture
 def serve(tmp_path, path):
     """Runs a conversation against the API of a flying station."""
-    from support.stations import serve as serving
+    from support.worlds import serve as serving
 
     config = Config(recording=RecordingConfig(folder=str(tmp_path / "sessions"), enabled=False))
     return lambda conversation: serving(config, path, conversation)

@@ -15,11 +15,12 @@ from groundstation.links.command import DISARMED_ITSELF, CommandState, Superviso
 from groundstation.links.crazyflie import STATE_S
 from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
-from groundstation.service import overview
-from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
+from groundstation.service import control
+from groundstation.service.config import RadioConfig
 from groundstation.service.station import Station
 from support.crafts import ServedCraft, served
 from support.waiting import eventually
+from support.worlds import running, station_on
 
 PATIENCE_S = 20.0
 
@@ -31,26 +32,20 @@ def craft() -> Iterator[ServedCraft]:
 
 
 def station_for(craft: ServedCraft, folder, **radio) -> Station:
-    return Station(
-        Config(
-            link=LinkConfig(name=craft.uri),
-            radio=RadioConfig(**radio),
-            recording=RecordingConfig(folder=str(folder)),
-        )
-    )
+    return station_on(craft.uri, folder, radio=RadioConfig(**radio))
 
 
 def run(station: Station, scenario) -> None:
     async def session() -> None:
-        running = asyncio.create_task(station.run())
-        try:
-            async with asyncio.timeout(PATIENCE_S):
-                await scenario()
-        finally:
-            station.stop()
-            await running
+        async with running(station), asyncio.timeout(PATIENCE_S):
+            await scenario()
 
     asyncio.run(session())
+
+
+async def heard(station: Station, rows: int) -> None:
+    """Wait for so many rows in the statistics."""
+    await eventually(lambda: station.statistics is not None and station.statistics.samples > rows)
 
 
 def recorded(folder):
@@ -62,9 +57,7 @@ def test_a_flight_is_recorded_without_loss_and_says_whose_it_was(craft, tmp_path
     station = station_for(craft, tmp_path, rate_hz=250)
 
     async def scenario() -> None:
-        await eventually(
-            lambda: station.statistics is not None and station.statistics.samples > 300
-        )
+        await heard(station, 300)
 
     run(station, scenario)
     recording = recorded(tmp_path)
@@ -90,9 +83,7 @@ def test_what_else_is_logged_is_a_table_of_the_recording_on_the_telemetrys_own_t
     station = station_for(craft, tmp_path, log="supervisor.info, stateEstimateZ.quat,pm.vbat")
 
     async def scenario() -> None:
-        await eventually(
-            lambda: station.statistics is not None and station.statistics.samples > 200
-        )
+        await heard(station, 200)
 
     run(station, scenario)
     recording = recorded(tmp_path)
@@ -117,10 +108,8 @@ def test_where_the_craft_is_is_recorded_on_the_telemetrys_own_time(tmp_path):
         station = station_for(craft, tmp_path)
 
         async def scenario() -> None:
-            await eventually(lambda: overview.place(station.commander.link) is not None)
-            await eventually(
-                lambda: station.statistics is not None and station.statistics.samples > 200
-            )
+            await eventually(lambda: control.place(station.commander.link) is not None)
+            await heard(station, 200)
 
         run(station, scenario)
     recording = recorded(tmp_path)
@@ -202,7 +191,7 @@ def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, 
         link = station.commander.link
         await eventually(lambda: link.state is CommandState.CONNECTED)
         await station.commander.operator.arm(True)
-        assert overview.status_of(station)["command"]["armed"] is True
+        assert control.status_of(station)["command"]["armed"] is True
         await eventually(lambda: link.supervisor.arms_itself)
         with pytest.raises(LinkError, match="has armed itself again, as a brushed one does"):
             await station.commander.operator.arm(False)
@@ -218,9 +207,10 @@ def test_nothing_is_claimed_of_arming_that_the_craft_does_not_say(tmp_path, monk
         link = station.commander.link
 
         def armed() -> bool | None:
-            return overview.status_of(station)["command"]["armed"]
+            return control.status_of(station)["command"]["armed"]
 
         async def scenario() -> None:
+            await eventually(lambda: link.state is CommandState.CONNECTED)
             await eventually(lambda: link.supervisor.bits is not None)
             assert armed() is False
             await station.commander.operator.arm(True)
@@ -246,10 +236,11 @@ def test_firmware_in_software_that_repeats_a_request_to_arm_is_not_called_armed(
         link = station.commander.link
 
         async def scenario() -> None:
+            await eventually(lambda: link.state is CommandState.CONNECTED)
             await eventually(lambda: link.supervisor.bits is not None)
             with pytest.raises(LinkError, match="refuses to arm its motors"):
                 await station.commander.operator.arm(True)
-            assert overview.status_of(station)["command"]["armed"] is False
+            assert control.status_of(station)["command"]["armed"] is False
             craft.craft.emergency_stop()
             await eventually(lambda: link.supervisor.trouble)
             with pytest.raises(LinkError, match="refuses to arm its motors: the craft has locked"):

@@ -12,8 +12,8 @@ from groundstation.service.client import ask
 from groundstation.service.config import Config, ControlSocket, RecordingConfig
 from groundstation.service.control import ControlServer
 from groundstation.service.station import Station
-from support.stations import serve
 from support.waiting import until
+from support.worlds import serve
 
 
 def get(path, route):
@@ -86,31 +86,28 @@ def test_a_daemon_that_records_what_streams_is_healthy(tmp_path):
     serve(config(tmp_path), path, conversation)
 
 
-def test_a_silent_link_a_dead_task_and_a_blocked_loop_are_not_healthy(tmp_path):
+async def test_a_silent_link_a_dead_task_and_a_blocked_loop_are_not_healthy(tmp_path):
     path = tmp_path / "control.sock"
 
-    async def session():
-        station = Station(config(tmp_path, enabled=False))
-        link = SilentLink()
-        link.on_event, station.receiver.link = station.journal.take, link
-        control = ControlSocket(path)
-        server = ControlServer(station, control)
-        await server.start()
-        running = asyncio.create_task(station.run())
-        async with asyncio.timeout(20):
-            while station.receiver.state is not LinkState.SILENT:
-                await asyncio.sleep(0.01)
-        station.supervisor._tasks["statistics"].cancel()
-        station.health._lags.append((2.5, "it waited in fsync"))
-        await asyncio.sleep(0.05)
-        answer = await asyncio.to_thread(get, path, "/health")
-        station.stop()
-        await running
-        await server.stop()
-        control.close()
-        return answer
-
-    status, text = asyncio.run(session())
+    station = Station(config(tmp_path, enabled=False))
+    link = SilentLink()
+    link.on_event, station.receiver.link = station.journal.take, link
+    control = ControlSocket(path)
+    server = ControlServer(station, control)
+    await server.start()
+    running = asyncio.create_task(station.run())
+    async with asyncio.timeout(20):
+        while station.receiver.state is not LinkState.SILENT:
+            await asyncio.sleep(0.01)
+    station.supervisor._tasks["statistics"].cancel()
+    station.health._lags.append((2.5, "it waited in fsync"))
+    await asyncio.sleep(0.05)
+    answer = await asyncio.to_thread(get, path, "/health")
+    station.stop()
+    await running
+    await server.stop()
+    control.close()
+    status, text = answer
     assert status == 503
     assert json.loads(text)["problems"] == [
         "link silent: silent",

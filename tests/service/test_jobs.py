@@ -4,6 +4,7 @@ import asyncio
 import json
 import shutil
 import signal
+from functools import partial
 
 import psutil
 import pytest
@@ -13,26 +14,22 @@ from groundstation.service.client import ask
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.jobs import Jobs
 from support import RECORDINGS
-from support.stations import serve
 from support.waiting import PATIENCE_S, eventually, until
+from support.worlds import serve
 
 FLIGHT = "stand_in_flight.mcap"
 ENDED = ("done", "failed", "cancelled")
 
 
 @pytest.fixture
-def talk(tmp_path):
+def talk(tmp_path, path):
     """talk(conversation): with a station whose folder holds a flight."""
     folder = tmp_path / "sessions"
     folder.mkdir()
     shutil.copy(RECORDINGS / FLIGHT, folder)
     (folder / "torn.mcap").write_bytes((RECORDINGS / FLIGHT).read_bytes()[:1000])
     config = Config(recording=RecordingConfig(folder=str(folder), enabled=False))
-    path = tmp_path / "control.sock"
-
-    def asked(method, route, body=None):
-        return ask(path, method, route, body)
-
+    asked = partial(ask, path)
     return lambda conversation: serve(config, path, lambda station: conversation(asked))
 
 
@@ -183,7 +180,9 @@ def test_the_name_in_a_job_s_own_file_is_not_believed(talk, tmp_path):
     assert found["id"] == "2026-01-01T00-00-00-000Z_fit"
 
 
-def test_a_job_cancelled_while_it_is_started_ends_and_the_next_one_runs(tmp_path, monkeypatch):
+async def test_a_job_cancelled_while_it_is_started_ends_and_the_next_one_runs(
+    tmp_path, monkeypatch
+):
     (tmp_path / FLIGHT).write_bytes(b"")
     started = asyncio.Event()
     begin = asyncio.create_subprocess_exec
@@ -193,23 +192,21 @@ def test_a_job_cancelled_while_it_is_started_ends_and_the_next_one_runs(tmp_path
         await asyncio.sleep(0.1)
         return await begin("sleep", "60", start_new_session=True)
 
-    async def session():
-        jobs = Jobs(lambda: tmp_path, lambda kind, text: None)
-        monkeypatch.setattr(asyncio, "create_subprocess_exec", slowly)
-        job = jobs.add("inspect", [FLIGHT], [], "")
-        running = asyncio.create_task(jobs.run())
+    jobs = Jobs(lambda: tmp_path, lambda kind, text: None)
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", slowly)
+    job = jobs.add("inspect", [FLIGHT], [], "")
+    running = asyncio.create_task(jobs.run())
+    await started.wait()
+    await jobs.cancel(job.id)
+    started.clear()
+    following = jobs.add("inspect", [FLIGHT], [], "")
+    async with asyncio.timeout(PATIENCE_S):
         await started.wait()
-        await jobs.cancel(job.id)
-        started.clear()
-        following = jobs.add("inspect", [FLIGHT], [], "")
-        async with asyncio.timeout(PATIENCE_S):
-            await started.wait()
-        await jobs.close()
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
-        return job.state, following.state
-
-    assert asyncio.run(session()) == ("cancelled", "cancelled")
+    await jobs.close()
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    found = job.state, following.state
+    assert found == ("cancelled", "cancelled")
 
 
 def limits_of_jobs():

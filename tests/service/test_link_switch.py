@@ -19,12 +19,12 @@ from groundstation.recording.mcap_schemas import (
     RAW_TOPIC,
     decode_entry,
 )
+from groundstation.service import control
 from groundstation.service import craft_links as receiver_module
-from groundstation.service import overview
-from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
+from groundstation.service.config import ViewerConfig
 from groundstation.service.control import permitted_link
-from groundstation.service.station import Station
 from support import RECORDINGS
+from support.worlds import running, station_on
 
 FLIGHT = RECORDINGS / "stand_in_flight.mcap"
 
@@ -33,20 +33,10 @@ def run(tmp_path, conversation, *, link="stand-in", **options):
     """Runs a conversation with a recording station; the station and what it recorded."""
 
     async def session():
-        station = Station(
-            Config(
-                link=LinkConfig(name=link),
-                recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
-                **options,
-            )
-        )
-        running = asyncio.create_task(station.run())
-        try:
+        station = station_on(link, tmp_path / "sessions", **options)
+        async with running(station):
             await samples(station, 200)
             await conversation(station)
-        finally:
-            station.stop()
-            await running
         return station
 
     station = asyncio.run(session())
@@ -93,7 +83,7 @@ def test_the_recording_goes_on_with_a_new_segment_and_no_sample_is_misplaced(tmp
     async def conversation(station):
         for name in (f"replay:{FLIGHT}", "stand-in", f"replay:{RECORDINGS / 'microsd_log16'}"):
             await station.switch_link(name)
-            assert overview.status_of(station)["link"]["name"] == name
+            assert control.status_of(station)["link"]["name"] == name
             await samples(station, 300)
 
     # not the recorded flight
@@ -134,8 +124,8 @@ def test_where_the_other_link_cannot_be_opened_the_present_one_stays(tmp_path):
         before = station.receiver.decoder.counts().samples
         await samples(station, before + 200)
         assert (
-            overview.status_of(station)["link"] | {"name": "stand-in", "state": "streaming"}
-            == (overview.status_of(station)["link"])
+            control.status_of(station)["link"] | {"name": "stand-in", "state": "streaming"}
+            == (control.status_of(station)["link"])
         )
 
     _, recording = run(tmp_path, conversation)
@@ -159,7 +149,7 @@ def test_a_link_that_never_opens_is_given_up_and_the_present_one_stays(tmp_path,
         with pytest.raises(LinkError, match=r"has not opened within 0.3 s, so the present link"):
             await station.switch_link("serial:/dev/ttyUSB0")
         await samples(station, before + 200)
-        assert overview.status_of(station)["link"]["name"] == "stand-in"
+        assert control.status_of(station)["link"]["name"] == "stand-in"
         await station.switch_link(f"replay:{FLIGHT}")
 
     try:
@@ -177,34 +167,21 @@ def test_while_a_client_commands_the_link_stays(tmp_path, monkeypatch):
     run(tmp_path, conversation)
 
 
-def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tmp_path):
+async def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tmp_path):
     from support.programs import free_port
 
     async def conversation(station):
         async with asyncio.timeout(60):
-            while overview.status_of(station)["recording"]["state"] != "finished":
+            while control.status_of(station)["recording"]["state"] != "finished":
                 await asyncio.sleep(0.02)
             await station.switch_link("stand-in")
             await samples(station, 200)
-        assert overview.status_of(station)["recording"]["state"] == "recording"
+        assert control.status_of(station)["recording"]["state"] == "recording"
 
-    async def session():
-        viewer = ViewerConfig(mode="serve", port=free_port(), web_port=free_port())
-        station = Station(
-            Config(
-                link=LinkConfig(name=f"replay:{RECORDINGS / 'thesis_excerpt.csv'}"),
-                recording=RecordingConfig(folder=str(tmp_path), low_space_mb=0),
-                viewer=viewer,
-            )
-        )
-        running = asyncio.create_task(station.run())
-        try:
-            await conversation(station)
-        finally:
-            station.stop()
-            await running
-
-    asyncio.run(session())
+    viewer = ViewerConfig(mode="serve", port=free_port(), web_port=free_port())
+    station = station_on(f"replay:{RECORDINGS / 'thesis_excerpt.csv'}", tmp_path, viewer=viewer)
+    async with running(station):
+        await conversation(station)
     first, second = sorted(tmp_path.glob("*.mcap"))
     assert len(open_recording(first).samples) == 25
     assert len(open_recording(second).samples) > 100
@@ -215,6 +192,14 @@ def test_another_link_that_reads_files_is_held_to_the_recordings_folder_too(tmp_
     assert permitted_link("tape:flight.log", tmp_path) == f"tape:{tmp_path.resolve()}/flight.log"
     with pytest.raises(BadInputError, match="--link tape:FILE"):
         permitted_link("tape:/etc/passwd", tmp_path)
+
+
+def test_another_link_whose_argument_nobody_knows_how_to_hold_is_not_chosen_by_a_request(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setitem(LINKS, "tcp:HOST", "replay")
+    with pytest.raises(BadInputError, match="cannot choose a HOST; start a daemon with --link"):
+        permitted_link("tcp:example.org", tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Models that jobs have left beside the recordings: what is told of them, and what flies."""
 
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -13,8 +14,8 @@ from groundstation.service.client import ask
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.jobs import Job
 from support.programs import free_port
-from support.stations import serve
 from support.waiting import until
+from support.worlds import serve
 
 FIT = "2026-11-22T20-00-00-000Z_fit"
 BROKEN = "2026-11-22T20-00-01-000Z_fit"
@@ -34,7 +35,7 @@ def fitted():
 
 
 @pytest.fixture
-def talk(tmp_path):
+def talk(tmp_path, path):
     """talk(conversation): with a station whose folder holds two jobs of an earlier daemon."""
     folder = tmp_path / "sessions" / "jobs"
     for name in (FIT, BROKEN):
@@ -47,11 +48,7 @@ def talk(tmp_path):
         recording=RecordingConfig(folder=str(folder.parent), enabled=False),
         command=f"udp://127.0.0.1:{free_port()}",
     )
-    path = tmp_path / "control.sock"
-
-    def asked(method, route, body=None):
-        return ask(path, method, route, body)
-
+    asked = partial(ask, path)
     return lambda conversation: serve(config, path, lambda station: conversation(asked))
 
 

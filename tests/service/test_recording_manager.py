@@ -10,13 +10,14 @@ import pytest
 
 from groundstation.errors import BadInputError
 from groundstation.recording.formats import open_recording
+from groundstation.recording.mcap_file import McapRecorder
 from groundstation.recording.mcap_scan import catalogue
-from groundstation.recording.mcap_writer import McapRecorder
-from groundstation.service import overview, recording_manager
+from groundstation.service import control, recording_manager
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.recording_manager import delete_oldest
 from groundstation.service.station import Station
 from support.waiting import eventually
+from support.worlds import running
 
 
 @pytest.fixture
@@ -24,28 +25,23 @@ def run(tmp_path, monkeypatch):
     """Runs a conversation with a station that looks after its recordings ten times as often."""
     monkeypatch.setattr(recording_manager, "CHECK_S", 0.05)
 
-    def running(conversation, *, speed=1.0, **recording):
+    def run(conversation, *, speed=1.0, **recording):
         async def session():
             options = {"folder": str(tmp_path / "sessions"), "low_space_mb": 0, **recording}
-            station = Station(
-                Config(link=LinkConfig(speed=speed), recording=RecordingConfig(**options))
-            )
-            task = asyncio.create_task(station.run())
-            try:
+            link, kept = LinkConfig(speed=speed), RecordingConfig(**options)
+            station = Station(Config(link=link, recording=kept))
+            async with running(station):
                 await eventually(lambda: recorded(station) > 100)
                 await conversation(station)
-            finally:
-                station.stop()
-                await task
             return station
 
         return asyncio.run(session())
 
-    return running
+    return run
 
 
 def recorded(station):
-    return overview.status_of(station)["recording"]["samples"]
+    return control.status_of(station)["recording"]["samples"]
 
 
 def files(tmp_path):
@@ -92,7 +88,7 @@ def test_as_fast_as_possible_rotation_loses_nothing_either(run, tmp_path):
     assert sum(entry.raw_packets for entry in catalogue(tmp_path / "sessions")) == (
         station.statistics.packets
     )
-    assert overview.status_of(station)["recording"]["dropped"] == 0
+    assert control.status_of(station)["recording"]["dropped"] == 0
 
 
 def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, tmp_path):
@@ -101,9 +97,9 @@ def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, t
         gone_s = asyncio.get_running_loop().time()
         await eventually(lambda: station.recordings.resumed == 1)
         print(f"recording again after {asyncio.get_running_loop().time() - gone_s:.2f} s")
-        await eventually(lambda: overview.status_of(station)["recording"]["samples"] > 100)
-        assert overview.status_of(station)["recording"]["state"] == "recording"
-        assert overview.status_of(station)["recording"]["wanted"]
+        await eventually(lambda: control.status_of(station)["recording"]["samples"] > 100)
+        assert control.status_of(station)["recording"]["state"] == "recording"
+        assert control.status_of(station)["recording"]["wanted"]
 
     run(conversation)
     (path,) = files(tmp_path)
@@ -122,7 +118,7 @@ def test_what_an_operator_stopped_is_not_resumed(run, tmp_path):
 
     station = run(conversation, rotate_minutes=0.02)
     assert station.recordings.resumed == 0
-    assert overview.status_of(station)["recording"]["state"] == "finished"
+    assert control.status_of(station)["recording"]["state"] == "finished"
 
 
 def test_the_oldest_recordings_give_way_and_nothing_else_does(run, tmp_path):

@@ -15,7 +15,7 @@ from groundstation.recording.mcap_scan import CatalogueEntry
 from groundstation.service.client import Client
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.requests import HealthStatus, Status
-from support.stations import serve
+from support.worlds import serve
 
 EXPECTED = {200, 400, 403, 404, 405, 409, 413, 429, 503}
 NUMBERS = st.one_of(

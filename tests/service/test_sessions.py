@@ -111,16 +111,13 @@ def test_what_comes_while_a_recording_is_being_finished_is_not_counted_as_lost(s
         assert sessions.status()["dropped"] <= 5 * (COPIES + 1)  # one batch may be on its way
 
 
-def test_a_recording_that_failed_is_told_and_another_can_be_started(sessions, faults):
+async def test_a_recording_that_failed_is_told_and_another_can_be_started(sessions, faults):
     path = start(sessions)
     path.unlink()
 
-    async def noticed():
-        async with asyncio.timeout(30):
-            while not faults:
-                await asyncio.sleep(0.01)
-
-    asyncio.run(noticed())
+    async with asyncio.timeout(30):
+        while not faults:
+            await asyncio.sleep(0.01)
     assert faults == [f"{path}: recording stopped: the file was removed"]
     assert sessions.faults == {path: faults[0]}
     again = start(sessions)

@@ -9,16 +9,15 @@ from groundstation.errors import BadInputError, LinkEndedError, LinkError, LinkL
 from groundstation.links.base import Link
 from groundstation.page.app import alarms
 from groundstation.recording.formats import open_recording
+from groundstation.service import control
 from groundstation.service import craft_links as receiver_module
-from groundstation.service import overview
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.craft_links import EVENTS_KEPT
-from groundstation.service.station import Station
 from groundstation.telemetry.samples import RawBatch
 from support.packets import COPIES, flight
-from support.stations import serve
 from support.waiting import until
+from support.worlds import serve, station_on
 
 
 class ScriptedLink(Link):
@@ -61,13 +60,7 @@ def run(tmp_path, monkeypatch):
 
     def running(link, *, enabled=True):
         async def session():
-            folder = str(tmp_path / "sessions")
-            station = Station(
-                Config(
-                    link=LinkConfig(name="stand-in"),
-                    recording=RecordingConfig(folder=folder, enabled=enabled, low_space_mb=0),
-                )
-            )
+            station = station_on("stand-in", tmp_path / "sessions", enabled)
             link.on_event, link.station = station.journal.take, station
             station.receiver.link = link
             link.clock = station.clock
@@ -147,7 +140,7 @@ def test_the_status_says_lost_until_the_device_is_back(run):
 
     class WatchedLink(ScriptedLink):
         async def _open(self):
-            states.append(overview.status_of(self.station)["link"]["state"])
+            states.append(control.status_of(self.station)["link"]["state"])
             await super()._open()
 
     link = WatchedLink(
@@ -182,7 +175,7 @@ def test_a_fault_of_the_link_is_survived_counted_and_told(run):
     link = ScriptedLink([first, ZeroDivisionError("in the reader"), later(second, 0.0)])
     station, recording = run(link)
     assert link.opened == 2
-    assert station.journal.faults == overview.status_of(station)["faults"] == 1
+    assert station.journal.faults == control.status_of(station)["faults"] == 1
     assert recording.samples.segment.tolist() == [0] * 50 + [1] * 50
     (told,) = [event.text for event in station.journal.events if event.kind == "fault"]
     assert "in the reader" in told

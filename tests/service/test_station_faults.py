@@ -11,16 +11,16 @@ import pytest
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError, LinkLostError
 from groundstation.links.base import Link, LinkState
 from groundstation.recording.formats import open_recording
+from groundstation.service import control
 from groundstation.service import craft_links as receiver_module
-from groundstation.service import overview
 from groundstation.service import station as station_module
 from groundstation.service.client import TIMEOUT_S, ask
 from groundstation.service.config import (
     Config,
     ControlSocket,
-    LinkConfig,
     RecordingConfig,
     ViewerConfig,
+    socket_path,
 )
 from groundstation.service.control import ControlServer
 from groundstation.service.station import Station
@@ -28,6 +28,7 @@ from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 from support.packets import COPIES, flight
 from support.waiting import eventually
+from support.worlds import station_on
 
 
 class FedLink(Link):
@@ -63,13 +64,7 @@ def live(tmp_path, monkeypatch):
 
     def living(conversation, *, end=True):
         async def session():
-            folder = str(tmp_path / "sessions")
-            station = Station(
-                Config(
-                    link=LinkConfig(name="stand-in"),
-                    recording=RecordingConfig(folder=folder, low_space_mb=0),
-                )
-            )
+            station = station_on("stand-in", tmp_path / "sessions")
             link = FedLink()
             link.on_event, link.clock = station.journal.take, station.clock
             station.receiver.link = link
@@ -90,24 +85,19 @@ def live(tmp_path, monkeypatch):
     return living
 
 
-def test_a_recording_begun_before_the_craft_is_there_goes_on_when_it_appears(tmp_path):
-    async def session():
-        recording = RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0)
-        station = Station(Config(link=LinkConfig(name="stand-in"), recording=recording))
-        link = FedLink()
-        link.on_event, link.clock = station.journal.take, station.clock
-        link.present.clear()
-        station.receiver.link = link
-        running = asyncio.create_task(station.run())
-        await eventually(lambda: link.state is LinkState.OPENING)
-        path = await station.recordings.start()
-        link.present.set()
-        link.queue.put_nowait(flight(0, 100)[1])
-        link.queue.put_nowait(None)
-        await running  # does not fail
-        return path
-
-    path = asyncio.run(session())
+async def test_a_recording_begun_before_the_craft_is_there_goes_on_when_it_appears(tmp_path):
+    station = station_on("stand-in", tmp_path / "sessions")
+    link = FedLink()
+    link.on_event, link.clock = station.journal.take, station.clock
+    link.present.clear()
+    station.receiver.link = link
+    running = asyncio.create_task(station.run())
+    await eventually(lambda: link.state is LinkState.OPENING)
+    path = await station.recordings.start()
+    link.present.set()
+    link.queue.put_nowait(flight(0, 100)[1])
+    link.queue.put_nowait(None)
+    await running  # does not fail
     assert list(path.parent.iterdir()) == [path]
     assert len(open_recording(path).samples) == 100
 
@@ -182,18 +172,18 @@ def test_while_the_device_is_away_windows_close_and_the_status_says_lost(
         await eventually(lambda: station.statistics and station.statistics.samples)
         link.present.clear()
         link.queue.put_nowait(LinkLostError("unplugged"))
-        await eventually(lambda: overview.status_of(station)["link"]["state"] == "lost")
+        await eventually(lambda: control.status_of(station)["link"]["state"] == "lost")
         before = station.statistics
         await eventually(
             lambda: station.statistics is not before and station.statistics.rate_hz == 0
         )
         silent = station.statistics
         await eventually(lambda: station.statistics is not silent)
-        status = overview.status_of(station)["link"]
+        status = control.status_of(station)["link"]
         assert (status["state"], status["rate_hz"], status["latency_ms"]) == ("lost", 0.0, None)
         link.present.set()
         link.queue.put_nowait(flight(1000, 50)[0])
-        await eventually(lambda: overview.status_of(station)["link"]["state"] == "streaming")
+        await eventually(lambda: control.status_of(station)["link"]["state"] == "streaming")
 
     live(conversation)
     recorded = open_recording(files(tmp_path)[0]).statistics
@@ -241,29 +231,26 @@ def test_statistics_are_on_the_time_base_of_the_packets(live, tmp_path):
     assert recording.statistics[-1]["time_ns"] >= recording.samples.host_time_ns[-1]
 
 
-def test_a_fault_of_the_daemon_is_an_answer_an_event_and_a_count(tmp_path):
-    async def session():
-        station = Station(Config(recording=RecordingConfig(folder=str(tmp_path / "s"))))
-        control = ControlSocket(tmp_path / "control.sock")
-        server = ControlServer(station, control)
-        await server.start()
-        station.recordings.status = lambda: 1 / 0
-        try:
-            with pytest.raises(GroundStationError) as told:
-                await asyncio.to_thread(ask, control.path, "GET", "/status")
-        finally:
-            await server.stop()
-            control.close()
-        return station, str(told.value)
-
-    station, told = asyncio.run(session())
+async def test_a_fault_of_the_daemon_is_an_answer_an_event_and_a_count(tmp_path):
+    station = Station(Config(recording=RecordingConfig(folder=str(tmp_path / "s"))))
+    control = ControlSocket(tmp_path / "control.sock")
+    server = ControlServer(station, control)
+    await server.start()
+    station.recordings.status = lambda: 1 / 0
+    try:
+        with pytest.raises(GroundStationError) as told:
+            await asyncio.to_thread(ask, control.path, "GET", "/status")
+    finally:
+        await server.stop()
+        control.close()
+    told = str(told.value)
     assert "GET /status: internal fault: ZeroDivisionError" in told
     assert station.journal.faults == 1
     assert station.journal.events[-1].kind == "fault"
 
 
 def test_a_daemon_that_does_not_answer_is_told_with_what_to_do(tmp_path, monkeypatch):
-    from groundstation.recording.mcap_writer import _FINISH_TIMEOUT_S
+    from groundstation.recording.mcap_file import _FINISH_TIMEOUT_S
     from groundstation.service import client
 
     assert TIMEOUT_S > _FINISH_TIMEOUT_S
@@ -274,30 +261,28 @@ def test_a_daemon_that_does_not_answer_is_told_with_what_to_do(tmp_path, monkeyp
     control.close()
 
 
+@pytest.fixture
+def shared(tmp_path, monkeypatch):
+    """Where the socket is on a system without runtime folders."""
+    monkeypatch.delenv("GROUNDSTATION_SOCKET", raising=False)
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return socket_path()
+
+
 @pytest.mark.parametrize("mode", [0o755, 0o777])
-def test_a_folder_in_reach_of_others_is_refused(tmp_path, monkeypatch, mode):
-    monkeypatch.delenv("GROUNDSTATION_SOCKET", raising=False)
-    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    from groundstation.service.config import socket_path
-
-    path = socket_path()
-    ControlSocket(path).close()
-    os.chmod(path.parent, mode)
+def test_a_folder_in_reach_of_others_is_refused(shared, mode):
+    ControlSocket(shared).close()
+    os.chmod(shared.parent, mode)
     with pytest.raises(GroundStationError, match="not a folder of yours alone"):
-        ControlSocket(path)
+        ControlSocket(shared)
 
 
-def test_a_link_in_place_of_the_folder_is_refused(tmp_path, monkeypatch):
-    monkeypatch.delenv("GROUNDSTATION_SOCKET", raising=False)
-    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    from groundstation.service.config import socket_path
-
+def test_a_link_in_place_of_the_folder_is_refused(shared, tmp_path):
     (tmp_path / "elsewhere").mkdir(mode=0o700)
-    socket_path().parent.symlink_to(tmp_path / "elsewhere")
+    shared.parent.symlink_to(tmp_path / "elsewhere")
     with pytest.raises(GroundStationError, match="not a folder of yours alone"):
-        ControlSocket(socket_path())
+        ControlSocket(shared)
 
 
 def test_settings_without_sense_are_refused_by_key():
@@ -325,7 +310,7 @@ def test_work_in_the_background_does_not_hold_up_the_end():
         asyncio.run(in_background(lambda: 1 / 0))
 
 
-def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time(
+async def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time(
     tmp_path, monkeypatch
 ):
     """A real serial line, closed and opened anew: descriptors, threads and memory stay."""
@@ -341,33 +326,24 @@ def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time
     craft = StandIn(StandInSettings(loss=Loss(good_loss=0.0)))
     used = []
 
-    async def session():
-        station = Station(
-            Config(
-                link=LinkConfig(name=f"serial:{name}"),
-                recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
-            )
-        )
-        running = asyncio.create_task(station.run())
-        process, began_s = psutil.Process(), time.monotonic()
-        reached = LinkState.OPENING, LinkState.STREAMING
-        for cycle in range(cycles):
-            with SerialPort(f"pty:{name}") as port:
-                await eventually(lambda: station.receiver.link.state in reached)
-                wanted = station.receiver.decoder.counts().samples + 20
-                while station.receiver.decoder.counts().samples < wanted:
-                    port.send(craft.advance(time.monotonic() - began_s)[0])
-                    assert not running.done(), running
-                    await asyncio.sleep(0.002)
-            await eventually(lambda: station.receiver.state in (LinkState.LOST, LinkState.OPENING))
-            if cycle in (cycles // 5, cycles - 1):
-                memory = process.memory_info().rss / 1e6
-                used.append((process.num_fds(), process.num_threads(), memory))
-        station.stop()
-        await running
-        return station
-
-    station = asyncio.run(session())
+    station = station_on(f"serial:{name}", tmp_path / "sessions")
+    running = asyncio.create_task(station.run())
+    process, began_s = psutil.Process(), time.monotonic()
+    reached = LinkState.OPENING, LinkState.STREAMING
+    for cycle in range(cycles):
+        with SerialPort(f"pty:{name}") as port:
+            await eventually(lambda: station.receiver.link.state in reached)
+            wanted = station.receiver.decoder.counts().samples + 20
+            while station.receiver.decoder.counts().samples < wanted:
+                port.send(craft.advance(time.monotonic() - began_s)[0])
+                assert not running.done(), running
+                await asyncio.sleep(0.002)
+        await eventually(lambda: station.receiver.state in (LinkState.LOST, LinkState.OPENING))
+        if cycle in (cycles // 5, cycles - 1):
+            memory = process.memory_info().rss / 1e6
+            used.append((process.num_fds(), process.num_threads(), memory))
+    station.stop()
+    await running
     (path,) = files(tmp_path)
     recording = open_recording(path)
     assert recording.damage == []

@@ -10,8 +10,8 @@ from groundstation.service.client import ask, live
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.stream import thinned
 from groundstation.telemetry.samples import TICK_S, empty_samples
-from support.stations import serve
 from support.waiting import until
+from support.worlds import serve
 
 
 def rows_of(count, period_s=0.002):
@@ -33,11 +33,6 @@ def test_few_rows_are_evenly_spread_and_the_newest_is_among_them(count, kept):
 def test_a_slow_source_is_not_thinned():
     batch = rows_of(40, period_s=0.02)
     assert len(thinned(batch, 100.0)) == 40
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "control.sock"
 
 
 def talk(path, conversation):

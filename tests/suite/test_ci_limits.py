@@ -8,11 +8,11 @@ import time
 import pytest
 
 from support import ROOT
-from support.ci_limits import named, names, processor_s
 from support.programs import Program, run_program
+from support.suite import named, names, processor_s
 
 LIMIT_S = 0.3
-CONFTEST = f"from support import ci_limits\nci_limits.LIMIT_S = ci_limits.FAILS_S = {LIMIT_S}\n"
+CONFTEST = f"from support import suite\nsuite.LIMIT_S = suite.FAILS_S = {LIMIT_S}\n"
 TESTS = """
 import sys, time
 from subprocess import run
@@ -60,7 +60,7 @@ def suite(tmp_path):
             "PYTHONPATH": str(ROOT / "tests"),
             "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # they take longer than the tests
         }
-        plugins = ["-p", "support.ci_limits", "-p", "xdist.plugin", "-p", "no:cacheprovider"]
+        plugins = ["-p", "support.suite", "-p", "xdist.plugin", "-p", "no:cacheprovider"]
         return run_program(
             [sys.executable, "-m", "pytest", *plugins, *options], cwd=tmp_path, env=environment
         )

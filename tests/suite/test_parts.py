@@ -6,9 +6,8 @@ import sys
 import pytest
 
 from support import ROOT
-from support.ci_limits import names
-from support.durations import LONG_PROCESSOR_S, LONG_WALL_S, SHARED_PROCESSOR_S, long_tests
 from support.programs import run_program
+from support.suite import LONG_PROCESSOR_S, LONG_WALL_S, SHARED_PROCESSOR_S, long_tests, names
 
 LISTED = names(ROOT / "tests" / "long_tests.txt", reasons=False)
 HEAVY = names(ROOT / "tests" / "heavy_tests.txt")
@@ -32,7 +31,7 @@ def collected(tmp_path):
     listed = ("tests/test_all_long.py", "tests/test_one.py::test_of_many_sizes[2]  # waits")
     (tests / "long_tests.txt").write_text("# why\n" + "\n".join(listed))
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "-p", "no:cacheprovider",
-               "-p", "support.parts", "--rootdir", tmp_path, "-c", "/dev/null", tests]  # fmt: skip
+               "-p", "support.suite", "--rootdir", tmp_path, "-c", "/dev/null", tests]  # fmt: skip
 
     def part(*options):
         said = run_program(

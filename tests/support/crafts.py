@@ -13,12 +13,12 @@ from contextlib import contextmanager
 from typing import Any
 
 from firmware_sim.craft import StandIn
-from firmware_sim.crtp_server import CrtpServer
+from firmware_sim.crtp import CrtpServer
 from firmware_sim.serial_port import SerialPort
 from firmware_sim.settings import StandInSettings
 from groundstation.links.stand_in import StandInLink
 from support.programs import free_port
-from support.waiting import PATIENCE_S
+from support.waiting import until
 
 SERIAL_STEP_S = 0.002
 OFF_S = 6.0
@@ -72,13 +72,6 @@ class ServedCraft:
             self.craft.advance(flown_s)
             self.each_step()
 
-    def wait_for(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
-        """Poll a condition of the running craft."""
-        end = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < end, "the condition never came true"
-            time.sleep(0.005)
-
 
 @contextlib.contextmanager
 def served(**settings: Any) -> Iterator[ServedCraft]:
@@ -103,7 +96,7 @@ def switched_off_and_on(running: ServedCraft) -> None:
     boots = running.craft.boots
     run_flat(running.craft)
     running.skip_s = OFF_S
-    running.wait_for(lambda: running.craft.boots > boots)
+    until(lambda: running.craft.boots > boots, "the next power-on")
 
 
 @contextlib.asynccontextmanager

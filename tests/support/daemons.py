@@ -1,18 +1,30 @@
-"""The installed ``groundstation`` command, as a user runs it, and Dask's programs."""
+"""The installed ``groundstation`` command, as a user runs it, and Dask's programs; and a library
+that is loaded before the C library: it steps a program's wall clock, and logs what is synced.
+
+Stepping the machine's own clock would disturb everything else on it, and pulling its plug even
+more so. Needs a C compiler.
+"""
+
+from __future__ import annotations
 
 import contextlib
 import io
 import json
 import os
+import shutil
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import warnings
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
 
 import psutil
+import pytest
 
 from groundstation.cli import main
 from groundstation.errors import GroundStationError
@@ -215,12 +227,118 @@ def dask(log, *words, cwd=None):
             yield program
 
 
+@contextmanager
 def scheduler(log, port):
-    return dask(log, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
+    """One that answers."""
+
+    def answers():
+        with socket.socket() as trial:
+            return trial.connect_ex(("127.0.0.1", port)) == 0
+
+    with dask(log, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard") as program:
+        until(answers, "the scheduler answers")
+        yield program
 
 
+@contextmanager
 def worker(log, port, folder):
-    """One thread, at home in ``folder``."""
+    """One thread, at home in ``folder``, that its scheduler knows."""
+
+    def known():
+        return log.read_text().count("Registered to")
+
     folder.mkdir(exist_ok=True)
     command = ("worker", f"tcp://127.0.0.1:{port}", "--nthreads", 1, "--no-dashboard")
-    return dask(log, *command, "--local-directory", folder, cwd=folder)
+    before = known()
+    with dask(log, *command, "--local-directory", folder, cwd=folder) as program:
+        until(lambda: known() > before, "the scheduler knows the worker")
+        yield program
+
+
+SOURCE = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+static int (*real_gettime)(clockid_t, struct timespec *);
+static int (*real_sync)(int);
+
+static long long offset_s(void) {
+    long long value = 0;
+    const char *path = getenv("SHIM_OFFSET");
+    int file = path ? open(path, O_RDONLY | O_CLOEXEC) : -1;
+    if (file >= 0) {
+        if (read(file, &value, sizeof value) != sizeof value) value = 0;
+        close(file);
+    }
+    return value;
+}
+
+int clock_gettime(clockid_t which, struct timespec *now) {
+    if (!real_gettime) real_gettime = dlsym(RTLD_NEXT, "clock_gettime");
+    int result = real_gettime(which, now);
+    if (result == 0 && which == CLOCK_REALTIME) now->tv_sec += offset_s();
+    return result;
+}
+
+int fdatasync(int number) {
+    if (!real_sync) real_sync = dlsym(RTLD_NEXT, "fdatasync");
+    struct stat before;
+    int known = fstat(number, &before) == 0;
+    int result = real_sync(number);
+    const char *path = getenv("SHIM_SYNCS");
+    if (path && known && result == 0) {
+        struct timespec now;
+        if (!real_gettime) real_gettime = dlsym(RTLD_NEXT, "clock_gettime");
+        real_gettime(CLOCK_REALTIME, &now);
+        FILE *log = fopen(path, "a");
+        fprintf(log, "%lld %lld %lld\n", (long long)before.st_ino, (long long)before.st_size,
+                now.tv_sec * 1000000000LL + now.tv_nsec);
+        fclose(log);
+    }
+    return result;
+}
+"""
+
+
+@dataclass
+class Shim:
+    """environment: for the program that is to be deceived."""
+
+    folder: Path
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return {
+            "LD_PRELOAD": str(self.folder / "shim.so"),
+            "SHIM_OFFSET": str(self.folder / "offset"),
+            "SHIM_SYNCS": str(self.folder / "syncs"),
+        }
+
+    def step_clock(self, seconds: int) -> None:
+        """From now on the wall clock is so far from the real one."""
+        (self.folder / "offset").write_bytes(struct.pack("q", seconds))
+
+    def syncs(self, inode: int) -> list[tuple[int, int]]:
+        """(size, Unix ns) of each sync of a file that has come back."""
+        rows = [map(int, line.split()) for line in (self.folder / "syncs").read_text().splitlines()]
+        return [(size, time_ns) for number, size, time_ns in rows if number == inode]
+
+
+def build_shim(folder: Path) -> Shim:
+    """Compile it, or skip the test where there is no compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("stepping a clock needs a C compiler")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "shim.c").write_text(SOURCE)
+    run_program(
+        [compiler, "-shared", "-fPIC", "-O1", "-o", folder / "shim.so", folder / "shim.c", "-ldl"],
+        check=True,
+    )
+    return Shim(folder)

@@ -8,6 +8,7 @@ import numpy as np
 from bench.sealed.flights import CARRY as CARRYING_GAINS
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.comparison.comparison import compare
+from groundstation.control.programme import Seen
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
 from groundstation.identification.runs import flights_of, runs_of
@@ -82,18 +83,22 @@ def flown(seconds, seed, name=None, **settings):
 
 
 @functools.cache
-def compared(seed, plant="reduced", effects=(), seconds=COMPARED_S, loss=0.0, **settings):
-    """Runs of one flight. effects: ((name, ((parameter, value), ...)), ...)."""
-    samples, _ = recorded(
-        seconds,
-        seed=seed,
-        plant=plant,
-        gains=CARRYING_GAINS,
-        copies=1,
-        loss={"good_loss": loss},
-        effects={name: dict(values) for name, values in effects},
-        **settings,
-    )
+def _samples(seconds, seed, effects=(), loss=None, **settings):
+    """Of one flight of the reduced plant; the same settings give them without flying again.
+
+    effects: ((name, ((parameter, value), ...)), ...). loss: share of copies, None: the usual one.
+    """
+    chosen = {"plant": "reduced", "gains": CARRYING_GAINS, **settings}
+    if loss is not None:
+        chosen["loss"] = {"good_loss": loss}
+    told = {name: dict(values) for name, values in effects}
+    return recorded(seconds, seed=seed, effects=told, **chosen)[0]
+
+
+@functools.cache
+def compared(seed, effects=(), seconds=COMPARED_S, loss=0.0, **settings):
+    """Runs of one flight; effects: as ``hidden`` gives them."""
+    samples = _samples(seconds, seed, effects, loss, copies=1, **settings)
     return tuple(flights_of(samples, f"flight{seed}"))
 
 
@@ -119,17 +124,10 @@ def base_model() -> Model:
     return msgspec.structs.replace(model, fit={"motor": {"estimates": estimates}})
 
 
-@functools.cache
-def _samples(seed, effects, span_s, more):
-    chosen = {name: dict(values) for name, values in effects}
-    settings = {"plant": "reduced", "gains": CARRYING_GAINS, **dict(more)}
-    return recorded(span_s, seed=seed, effects=chosen, **settings)[0]
-
-
 def searched_samples(seed, effects=None, span_s=SEARCHED_S, **more):
-    """Excitation; the same settings give the same samples without flying again."""
+    """Excitation."""
     frozen = tuple((name, tuple(values.items())) for name, values in (effects or {}).items())
-    return _samples(seed, frozen, span_s, tuple(more.items()))
+    return _samples(span_s, seed, frozen, **more)
 
 
 def searched(seed, effects=None, count=2, **more):
@@ -144,20 +142,10 @@ def searched(seed, effects=None, count=2, **more):
     return runs[:count], runs[count:]
 
 
-@functools.cache
 def twin_flight(seconds, seed, name=None, loss=0.0, program="excite"):
-    """Samples of one flight of the reduced stand-in, with an effect at medium size if named."""
-    samples, _ = recorded(
-        seconds,
-        seed=seed,
-        plant="reduced",
-        gains=CARRYING_GAINS,
-        copies=1,
-        loss={"good_loss": loss},
-        program=program,
-        effects={} if name is None else {name: MEDIUM[name]},
-    )
-    return samples
+    """Samples of one flight, with an effect at medium size if named."""
+    effects = () if name is None else hidden(name, MEDIUM[name])
+    return _samples(seconds, seed, effects, loss, copies=1, program=program)
 
 
 def told(samples):
@@ -198,3 +186,21 @@ def fly_offline(settings, programme, jitter_s=0.0):
         np.radians(table[len(level) :]),
         craft,
     )
+
+
+HOVERS = Seen(
+    time_s=0.0,
+    x_m=0.0,
+    y_m=0.0,
+    vx_m_s=0.0,
+    vy_m_s=0.0,
+    climb_m_s=0.0,
+    height_m=0.5,
+    heading_rad=0.0,
+    roll_deg=0.0,
+    pitch_deg=0.0,
+    thrust=4.0,
+    age_s=0.0,
+    place_s=0.0,
+)
+"""A craft that hovers half a metre above where it took off, as it says so itself."""

@@ -55,6 +55,16 @@ def joined(batches):
     return type(batches[0]).concatenate(batches)
 
 
+def span_of(link, span_ns=SPAN_NS):
+    """Open the link, read for so long, close it."""
+
+    async def session():
+        async with link:
+            return await read_span(link, span_ns)
+
+    return asyncio.run(session())
+
+
 def listen(link):
     """The link's events, as they come."""
     events = []
@@ -98,10 +108,8 @@ class LinkContract:
 
         asyncio.run(session())
         kinds = [event.kind for event in events if event.kind in set(LinkState)]
-        assert [kind for kind in kinds if kind not in ("silent", "ended")][:2] == [
-            "opening",
-            "streaming",
-        ]
+        begun = [kind for kind in kinds if kind not in ("silent", "ended")][:2]
+        assert begun == ["opening", "streaming"]
         assert kinds[-1] == "closed"
         assert kinds.count("opening") == kinds.count("closed") == 1
         stamps = [event.time_ns for event in events]
@@ -109,11 +117,7 @@ class LinkContract:
         assert {event.link for event in events} == {link.name}
 
     def test_batches_have_the_shapes_and_types_of_the_interface(self, link):
-        async def session():
-            async with link:
-                return await read_span(link)
-
-        for batch in asyncio.run(session()):
+        for batch in span_of(link):
             assert type(batch) is self.kind
             assert len(batch) > 0
             assert batch.host_time_ns.shape == (len(batch),)
@@ -179,12 +183,7 @@ class LinkContract:
 
     def test_the_silence_limit_loses_nothing(self, link):
         link.silence_s = 0.001
-
-        async def session():
-            async with link:
-                return await read_span(link)
-
-        self.require_complete(asyncio.run(session()))
+        self.require_complete(span_of(link))
 
     def require_complete(self, batches):
         """No sample is missing, and none of the copies of those in the middle."""
@@ -202,13 +201,7 @@ class LinkContract:
 
     def test_two_full_cycles_both_deliver(self, link):
         events = listen(link)
-
-        async def cycle():
-            async with link:
-                return joined(await read_span(link))
-
-        first = asyncio.run(cycle())
-        second = asyncio.run(cycle())
+        first, second = (joined(span_of(link)) for _ in range(2))
         assert len(first) > 50
         assert len(second) > 50
         assert second.host_time_ns[0] >= first.host_time_ns[0]
@@ -267,12 +260,7 @@ class LinkContract:
         """The daemon gives all its parts one clock."""
         real = steady_clock()
         link.clock = lambda: real() + 3_600_000_000_000
-
-        async def session():
-            async with link:
-                return joined(await read_span(link, 20_000_000))
-
-        stamps = asyncio.run(session()).host_time_ns
+        stamps = joined(span_of(link, 20_000_000)).host_time_ns
         assert stamps[0] - real() > 3_500_000_000_000
 
 

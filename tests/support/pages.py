@@ -12,7 +12,7 @@ from firmware_sim.craft import StandIn
 from firmware_sim.settings import StandInSettings
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.body import identify_body
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import runs_of
 from groundstation.recording.formats import open_recording

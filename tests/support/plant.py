@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +15,11 @@ from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.layout import STATE
 from firmware_sim.physics import parameters
 from firmware_sim.plant import derivative, integrate
+from firmware_sim.settings import Loss
 from groundstation.compiled import kernel
 from groundstation.telemetry.packet import decode, motor_counts
+
+QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
 
 
 @functools.cache
@@ -77,6 +82,34 @@ def rows_of(packets: NDArray[np.uint8]) -> dict[str, NDArray[np.int64]]:
         "angles": records["angles"].astype(np.int64),
         "debug": records["debug"].astype(np.int64),
     }
+
+
+def craft_after(seconds: float, **settings: Any) -> StandIn:
+    """A stand-in that was switched on so long ago."""
+    craft = StandIn(StandInSettings(**settings))
+    craft.advance(seconds)
+    return craft
+
+
+def tilt_deg(truth: NDArray[np.void]) -> NDArray[np.float64]:
+    """How far the craft leans, in each row of what really happened."""
+    _, x, y, _ = truth["quaternion"].T
+    return np.degrees(np.arccos(1 - 2 * (x * x + y * y)))
+
+
+def programme(folder: Path, *segments: dict[str, Any]) -> str:
+    """The file of a pilot's programme of these segments."""
+
+    def inline(value: Any) -> str:
+        if isinstance(value, dict):
+            return "{" + ", ".join(f"{key} = {inline(one)}" for key, one in value.items()) + "}"
+        if isinstance(value, list):
+            return "[" + ", ".join(map(inline, value)) + "]"
+        return json.dumps(value)
+
+    path = folder / "programme.toml"
+    path.write_text(f'name = "made"\nsegment = {inline(list(segments))}\n')
+    return str(path)
 
 
 def flown(seconds: float, **settings: Any) -> tuple[StandIn, dict[str, NDArray[np.int64]]]:

@@ -1,25 +1,373 @@
 """A daemon, crafts whose truth is seen, a radio between them, and all that people, programs and
-machines do to them: each a method, which says whether there was anything to do it to."""
+machines do to them: each a method, which says whether there was anything to do it to.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import signal
+import threading
 import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from firmware_sim.craft import CraftState, StandIn
+from firmware_sim.physics import PARAMETER_NAMES
+from firmware_sim.settings import StandInSettings
 from firmware_sim.supervisor import CRASHED, LOCKED
 from groundstation.errors import GroundStationError
-from groundstation.service.client import ask
+from groundstation.service.client import Pilot, ask
 from groundstation.service.lease import STOPPED
-from support.begun import HEIGHT_M, Begun, Hovering, held
-from support.crafts import NarrowRadio
+from support.crafts import NarrowRadio, ServedCraft
 from support.daemons import COMMAND, Daemon
 from support.programs import Program, run_program
-from support.truth import Craft
-from support.waiting import PATIENCE_S, until
-from support.witness import Witness, counted
+from support.waiting import HELD_UP_S, PATIENCE_S, Watch, until
+
+AIR_M, FLOOR_M = 0.05, 0.01
+"""Higher than the first it flies, lower than the second after it, it has touched down."""
+TESTED_MS = 4000
+"""The firmware tests its motors when it is switched on: each turns for a moment."""
+BEFORE_S = 0.1
+"""The speed at a touch-down is the largest of so long before it: the floor has changed the last."""
+
+
+@dataclass(slots=True)
+class Flight:
+    """From the floor to the floor. begun_s: when its rotors began, of the monotonic clock.
+    sink_m_s, aside_m_s: down and sideways at the touch-down. ended_s: when that was, or 0."""
+
+    begun_s: float
+    highest_m: float = 0.0
+    sink_m_s: float = 0.0
+    aside_m_s: float = 0.0
+    ended_s: float = 0.0
+
+
+@dataclass(slots=True)
+class Truth:
+    """quiet_since_s: a person was told so that the motors stand, and nobody asked for them since;
+    None: somebody may. faults: what should never have been."""
+
+    flights: list[Flight] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+    turns: bool = False
+    height_m: float = 0.0
+    turned: int = 0
+    quiet_since_s: float | None = None
+    _rotors_s: float = 0.0
+    _before: list[CraftState] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def of(self, served: ServedCraft) -> Truth:
+        """Look at this one from now on."""
+        self._before.clear()
+        if self.flights and not self.flights[-1].ended_s:
+            self.flights.pop()  # another craft: nobody sees the end of that flight
+        self.turns, self.height_m = False, 0.0
+        served.each_step = lambda: self._look(served.craft.state())
+        return self
+
+    @property
+    def flies(self) -> bool:
+        return bool(self.flights) and not self.flights[-1].ended_s
+
+    def be_quiet(self) -> None:
+        """The motors were said to stand."""
+        with self._lock:
+            self.quiet_since_s = time.monotonic()
+
+    def may_turn(self) -> None:
+        """A person asks for something that may turn the rotors."""
+        with self._lock:
+            self.quiet_since_s = None
+
+    def _look(self, state: CraftState) -> None:
+        now_s, turns = time.monotonic(), any(state.motors) and state.uptime_ms > TESTED_MS
+        with self._lock:
+            if turns and not self.turns:
+                self._rotors_s = now_s
+                self.turned += 1
+            if turns and self.quiet_since_s is not None:
+                after_s = now_s - self.quiet_since_s
+                self.faults.append(f"rotors turn {after_s:.2f} s after they were said to stand")
+                self.quiet_since_s = None
+        self.turns, self.height_m = turns, state.position_m[2]
+        self._before.append(state)
+        while state.time_s - self._before[0].time_s > BEFORE_S:
+            self._before.pop(0)
+        self._follow(now_s)
+
+    def _follow(self, now_s: float) -> None:
+        if not self.flies:
+            if self.height_m > AIR_M:
+                self.flights.append(Flight(self._rotors_s))
+            return
+        flight = self.flights[-1]
+        flight.highest_m = max(flight.highest_m, self.height_m)
+        if self.height_m < FLOOR_M:
+            last = min(self._before, key=lambda one: one.velocity_m_s[2])
+            ahead, left, up = last.velocity_m_s
+            flight.sink_m_s, flight.aside_m_s = -up, (ahead**2 + left**2) ** 0.5
+            flight.ended_s = now_s
+
+
+class Craft:
+    """One with a Flow deck, and its truth. gains: name -> what it may have when all is over."""
+
+    def __init__(self, vehicle: str, seed: int) -> None:
+        self.vehicle = vehicle
+        self._settings = StandInSettings(
+            craft=vehicle, plant="reduced", flow_deck=True, program="wait", resume_s=1e6,
+            recharge_s=1e6, seed=seed,
+        )  # fmt: skip
+        self.truth = Truth()
+        self.served: ServedCraft | None = None
+        self.switched = 0
+        self.gains: dict[str, set[float]] = {}
+
+    def switch_on(self, booted: bool = False) -> None:
+        """Off before, where it is on; what it was told is forgotten. booted: long ago."""
+        self.switch_off()
+        craft = StandIn(self._settings)
+        craft.advance(3.0 if booted else 0.0)
+        self.gains = {name: {craft.get_parameter(name)} for name in PARAMETER_NAMES}
+        self.served = ServedCraft(craft)
+        self.truth.of(self.served)
+        self.served.start()
+        self.switched += 1
+
+    def switch_off(self) -> None:
+        if self.served is not None:
+            self.served.stop()
+            self.served = None
+
+    @property
+    def craft(self) -> StandIn:
+        assert self.served is not None
+        return self.served.craft
+
+    def drain(self) -> None:
+        """Its cell is nearly empty from now on: no command does that."""
+        with self.craft._lock:
+            self.craft._state[0]["charge"] = 0.04
+
+
+HEIGHT_M, HOVERS_HZ, CLIMB_M_S = 0.3, 50, 0.4
+
+
+class Hovering(threading.Thread):
+    """A client of this process, who holds a height until it is ended.
+
+    stops: the count that it was begun with. after_s: when it asks for the lease. ends: how, of
+    release, land, stop and dies. silent_s: it says nothing for so long. write: parameters, next.
+    """
+
+    def __init__(self, socket: Path, name: str, stops: int, after_s: float) -> None:
+        super().__init__(name=name)
+        self.ends, self.silent_s = "", 0.0
+        self.write: dict[str, float] = {}
+        self.written: dict[str, float] = {}
+        self.settled = self.unsure = False
+        self._socket, self._stops, self._after_s = socket, stops, after_s
+        self._wakes = threading.Event()
+        self.start()
+
+    def end(self, how: str) -> None:
+        self.ends = how
+        self._wakes.set()
+
+    def run(self) -> None:
+        self._wakes.wait(self._after_s)
+        pilot = Pilot(self._socket, self.name, self._stops)
+        with contextlib.suppress(GroundStationError):
+            pilot.__enter__()
+            begun_s = time.monotonic()
+            while not self.ends:
+                height_m = min(HEIGHT_M, CLIMB_M_S * (time.monotonic() - begun_s))
+                pilot.setpoint(0.0, 0.0, 0.0, height_m=height_m, vx_m_s=0.0, vy_m_s=0.0)
+                values, self.write = self.write, {}
+                if values:
+                    self.written |= values
+                    pilot.write(values)
+                silent_s, self.silent_s = self.silent_s, 0.0
+                self._wakes.wait(max(silent_s, 1.0 / HOVERS_HZ))
+            if self.ends == "stop":
+                pilot.stop()
+            elif self.ends == "land":
+                pilot.land()
+            if self.ends != "dies":
+                self.unsure = True
+                pilot.release()
+                self.settled = True
+        pilot.close()
+
+
+class Begun:
+    """Somebody or something that a person began. begun_ns: when. signals: what was sent to it.
+    settles: parameters that it leaves where it ends well. unsure: it may have left them."""
+
+    def __init__(self, kind: str, what: Program | Hovering | str, craft: Craft) -> None:
+        self.kind, self.what, self.craft = kind, what, craft
+        self.name = what.name if isinstance(what, Hovering) else kind
+        self.begun_ns = time.time_ns()
+        self.signals: list[int] = []
+        self.settles: dict[str, float] = {}
+        self.unsure = False
+        self._switched, self._flights = craft.switched, len(craft.truth.flights)
+
+    def ended(self, jobs: Callable[[], dict[str, str]]) -> bool:
+        """jobs: state of each, by id."""
+        if isinstance(self.what, Hovering):
+            return not self.what.is_alive()
+        if isinstance(self.what, Program):
+            return self.what.poll() is not None
+        return jobs().get(self.what) not in ("waiting", "running")
+
+    def signal(self, number: int) -> None:
+        assert isinstance(self.what, Program)
+        truth = self.craft.truth
+        # one that has flown may have left what it had to before it hears of this
+        self.unsure |= len(truth.flights) > self._flights and not truth.flies
+        self.signals.append(number)
+        self.what.send_signal(number)
+
+    def settle(self) -> None:
+        """What it has left is what the craft may have."""
+        left, sure = self.settles, False
+        if isinstance(self.what, Hovering):
+            left, sure = self.what.written, self.what.settled
+            self.unsure = self.what.unsure
+        elif isinstance(self.what, Program):
+            sure = self.what.returncode == 0
+        if self.craft.switched != self._switched:
+            return  # whatever it left was forgotten
+        for name, value in left.items():
+            if sure:
+                self.craft.gains[name] = {value}
+            elif self.unsure:
+                self.craft.gains[name] |= {value}
+
+    def kill(self) -> None:
+        """Whatever it does."""
+        if isinstance(self.what, Hovering):
+            self.what.end("dies")
+            self.what.join()
+        elif isinstance(self.what, Program):
+            self.what.end()
+
+
+@contextlib.contextmanager
+def held(pid: int) -> Iterator[None]:
+    """It stands still meanwhile."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+
+
+BY_OPERATOR = "the operator "
+"""How the event of a Stop and of a Land begins; a client's own is none."""
+SINK_M_S, CLIMBING_M, CLIMBING_M_S = 0.8, 0.25, 1.0
+"""A landing goes down with 0.3 m/s; falling from the height that is flown here ends at 2.4 m/s. One
+that begins in a take-off, before the second height, may end at the third speed: a Brushless climbs
+on to 0.2 m, and sinks from there with 0.85 m/s; falling, it is 2 m/s."""
+READS_S = 1.0
+"""Python itself takes so long to start on a busy machine: until then a program was not begun."""
+DONE_BEFORE_S = 1.0
+"""What ends a flight may have been done so long before its rotors began."""
+counted: Counter[str] = Counter()
+"""How often it happened, of all there was."""
+
+
+class Witness:
+    """crafts: whose truth is looked at. craft: the one in reach. said: what was done, in order.
+    hard: when what may drop a craft was done, and what. begun: who may have asked for the lease.
+    heard_ns: the newest event that was looked at. steers: process ids of what must not stand still
+    for a flight to be landed, beside this one, which is the craft."""
+
+    def __init__(self, crafts: list[Craft], steers: Callable[[], list[int]]) -> None:
+        self.begun_s = time.monotonic()
+        self.crafts, self.craft = crafts, crafts[0]
+        self.said: list[str] = []
+        self.hard: list[tuple[float, str]] = []
+        self.begun: list[Begun] = []
+        self.heard_ns = 0
+        self.watch = Watch(lambda: [os.getpid(), *steers()])
+        self.watch.__enter__()
+        self._judged = dict.fromkeys(map(id, crafts), 0)
+
+    def say(self, text: str) -> None:
+        self.said.append(f"{time.monotonic() - self.begun_s:6.2f} s  {text}")
+
+    def drops(self, what: str) -> None:
+        """Whatever flies now may fall."""
+        self.hard.append((time.monotonic(), what))
+        self._count(what)
+
+    def soft(self, what: str) -> None:
+        """Whatever flies now lands."""
+        self._count(what)
+
+    def _count(self, what: str) -> None:
+        where = " in the air" if self.craft.truth.flies else ""
+        self.say(what + where)
+        counted[f"{what.partition(' for ')[0]}{where}"] += 1
+
+    def of_flights(self) -> list[str]:
+        """What was wrong with rotors, and with the touch-downs that were not looked at yet."""
+        found = []
+        for craft in self.crafts:
+            found += craft.truth.faults
+            for flight in craft.truth.flights[self._judged[id(craft)] :]:
+                if flight.ended_s:
+                    self._judged[id(craft)] += 1
+                    found += self._judge(flight)
+        return found
+
+    def _judge(self, flight: Flight) -> list[str]:
+        counted["flights"] += 1
+        begun_s = flight.begun_s - DONE_BEFORE_S
+        hard = [what for at_s, what in self.hard if begun_s <= at_s <= flight.ended_s]
+        self.say(f"met the floor with {flight.sink_m_s:.2f} m/s from {flight.highest_m:.2f} m")
+        if hard:
+            counted["may fall"] += 1
+            counted["fell"] += flight.sink_m_s > SINK_M_S
+            return []
+        most_m_s = SINK_M_S if flight.highest_m > CLIMBING_M else CLIMBING_M_S
+        if flight.sink_m_s > most_m_s:
+            held_s, who = self.watch.longest()
+            if held_s >= HELD_UP_S:
+                self.say(f"not judged: the machine held {who} up for {held_s:.2f} s")
+                counted["not judged"] += 1
+                return []
+            return [f"dropped: met the floor with {flight.sink_m_s:.2f} m/s"]
+        counted["landings"] += 1
+        return []
+
+    def of_leases(self, events: list[dict]) -> list[str]:
+        """Whoever got the lease after a stop was begun after it."""
+        found, stop_ns = [], 0
+        for event in events:
+            if event["kind"] == "stop" and event["text"].startswith(BY_OPERATOR):
+                stop_ns = event["time_ns"]
+            who, commands, _ = event["text"].partition(" commands now")
+            if not commands or event["time_ns"] <= self.heard_ns:
+                continue
+            self.heard_ns = event["time_ns"]
+            counted["leases"] += 1
+            kinds = {"learn": ("learn", "job")}.get(who, (who,))
+            last_ns = max((one.begun_ns for one in self.begun if one.name in kinds), default=0)
+            if last_ns < stop_ns - READS_S * 1e9:
+                after_s = (event["time_ns"] - stop_ns) * 1e-9
+                found.append(f"{who} got the lease {after_s:.2f} s after a stop")
+        return found
+
 
 GAIN = "pid_rate.yaw_kp"
 LANDED = "landed"

@@ -1,7 +1,8 @@
 """The bridge as a USB device: descriptors, control requests, and frames in step with a bus.
 
-Without any transport: ``usbip`` carries it to a kernel. Time is given with each call, in seconds
-of any steady clock; the bus counts frames of 1 ms from the first moment it is told.
+Without any transport: ``tests/usb_vm/guest/emulated_bridge.py`` carries it to a kernel. Time is
+given with each call, in seconds of any steady clock; the bus counts frames of 1 ms from the first
+moment it is told.
 
 A transfer begins where the one before it ended. When the host has none queued, the frames in
 between have no place to go: they are dropped and counted in ``BridgeCounts.dry``.
@@ -21,13 +22,50 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.telemetry.packet import ALTERNATE, ENDPOINT, FRAME_S
-from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
-from support.usb_descriptors import (
-    configuration_descriptor,
-    device_descriptor,
-    string_descriptor,
+from groundstation.telemetry.packet import (
+    ALTERNATE,
+    ENDPOINT,
+    FRAME_S,
+    INTERFACE,
+    PRODUCT_ID,
+    VENDOR_ID,
 )
+from groundstation.telemetry.packet import USB_FRAME_BYTES as FRAME_BYTES
+
+INTERVAL = 1
+MAX_POWER_MA = 100
+CONTROL_BYTES = 64
+ENGLISH = 0x0409
+
+
+def device_descriptor(vendor_id: int = VENDOR_ID, product_id: int = PRODUCT_ID) -> bytes:
+    """The 18 bytes of USB 2.0 table 9-8: strings 1 maker, 2 product, 3 serial number."""
+    return struct.pack(
+        "<BBHBBBBHHHBBBB",
+        18, 1, 0x0200, 0, 0, 0, CONTROL_BYTES, vendor_id, product_id, 0x0100, 1, 2, 3, 1,
+    )  # fmt: skip
+
+
+def configuration_descriptor() -> bytes:
+    """The configuration with its interface, both settings and the endpoint (USB 2.0 9.6.3)."""
+    body = (
+        _interface(0, endpoints=0)
+        + _interface(ALTERNATE, endpoints=1)
+        + struct.pack("<BBBBHB", 7, 5, ENDPOINT, 1, FRAME_BYTES, INTERVAL)
+    )
+    head = struct.pack("<BBHBBBBB", 9, 2, 9 + len(body), 1, 1, 0, 0x80, MAX_POWER_MA // 2)
+    return head + body
+
+
+def string_descriptor(text: str, index: int) -> bytes:
+    """A string, or for index 0 the one language they are in."""
+    content = struct.pack("<H", ENGLISH) if index == 0 else text.encode("utf-16-le")
+    return struct.pack("<BB", 2 + len(content), 3) + content
+
+
+def _interface(alternate: int, endpoints: int) -> bytes:
+    return struct.pack("<BBBBBBBBB", 9, 4, INTERFACE, alternate, endpoints, 0xFF, 0, 0, 0)
+
 
 MANUFACTURER, PRODUCT = "groundstation", "Crazyflie telemetry bridge"
 

@@ -1,4 +1,5 @@
-"""Software crafts, their command links and an event loop on a clock that the test turns.
+"""Software crafts, their command links and an event loop on a clock that the test turns; and a real
+station with its control API in a thread.
 
 The firmware, its supervisor and the motors are the stand-in's own, the link's outbox is the real
 one; what is left out is cflib and the radio, which other tests have.
@@ -8,15 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from firmware_sim import persistent
-from firmware_sim.contents import contents_of
-from firmware_sim.craft import StandIn
-from firmware_sim.craft_state import CraftState
+from firmware_sim.contents import EXTENDED, contents_of, misc_answer
+from firmware_sim.craft import CraftState, StandIn
 from firmware_sim.crtp import supervisor_bits
 from firmware_sim.settings import StandInSettings
 from groundstation.background import left_behind
@@ -32,9 +33,17 @@ from groundstation.links.command import (
 )
 from groundstation.links.crazyflie import STATE_S, Outbox
 from groundstation.service.commander import WATCH_S, Commander
-from groundstation.service.config import FailsafeConfig
+from groundstation.service.config import (
+    Config,
+    ControlSocket,
+    FailsafeConfig,
+    LinkConfig,
+    RecordingConfig,
+)
+from groundstation.service.control import ControlServer
 from groundstation.service.lease import Motors
 from groundstation.service.parameters import Changes
+from groundstation.service.station import Station
 
 T = TypeVar("T")
 HOVER = 40000
@@ -103,7 +112,7 @@ class CraftInHand(CommandLink):
         self._asked_s = -STATE_S
         self._listed = contents_of(self.craft).parameters
         numbers = {name: (number, "<f") for number, (name, kind) in enumerate(self._listed)
-                   if kind & persistent.EXTENDED and name in GAINS}  # fmt: skip
+                   if kind & EXTENDED and name in GAINS}  # fmt: skip
         self.storage = ParameterStorage(self.uri, numbers, self._asked) if numbers else None
         self.state = CommandState.CONNECTED
 
@@ -242,7 +251,7 @@ class CraftInHand(CommandLink):
         self._require()
         self.asked.append((request[0], self.turns))
         await asyncio.sleep(STEP_S)
-        answer = None if self.refuses else persistent.answer(self.craft, self._listed, request)
+        answer = None if self.refuses else misc_answer(self.craft, self._listed, request)
         return None if answer is None else answer[len(request) :]
 
     def _whole_range(self, name: str) -> None:
@@ -382,3 +391,85 @@ class Flying:
     def stopped(self) -> str:
         """What an operator who presses Stop is told."""
         return self.looked(self.commander.operator.stop())
+
+
+class Tuning(Flying):
+    """The daemon's task that writes back, and reads what is stored, runs too."""
+
+    def begin(self, changes: Path) -> None:
+        super().begin(changes)
+        self.path = changes
+        self.restoring = self.world.create_task(self.commander.keep_restored())
+
+    def end(self) -> None:
+        """Of that task."""
+        self.restoring.cancel()
+        self.run(asyncio.sleep(0.0))
+
+    def close(self) -> None:
+        self.end()
+        self.world.close()
+
+    def write(self, token: str, **values: float) -> Any:
+        return self.looked(self.commander.write_parameters(token, values))
+
+    def gains(self) -> dict[str, float]:
+        return {name: self.one.craft.get_parameter(name) for name in GAINS}
+
+
+def station_on(link: str, folder: Path, enabled: bool = True, **more: Any) -> Station:
+    """A station on a link that records into ``folder``, where it is ``enabled``."""
+    recording = RecordingConfig(folder=str(folder), enabled=enabled, low_space_mb=0)
+    return Station(Config(link=LinkConfig(name=link), recording=recording, **more))
+
+
+@asynccontextmanager
+async def running(station: Station) -> AsyncIterator[None]:
+    """While a station runs."""
+    task = asyncio.create_task(station.run())
+    try:
+        yield
+    finally:
+        station.stop()
+        await task
+
+
+def serve(config: Config, path: Path, conversation: Callable[[Station], T]) -> T:
+    """What ``conversation`` gives, beside the loop of a station that serves at ``path``."""
+    serving: Future[tuple[Station, asyncio.AbstractEventLoop]] = Future()
+
+    async def session() -> None:
+        station = Station(config)
+        control = ControlSocket(path)
+        server = ControlServer(station, control)
+        await server.start()
+        task = asyncio.create_task(station.run())
+        try:
+            await station.receiver.tried.wait()
+            serving.set_result((station, asyncio.get_running_loop()))
+            await task
+        finally:
+            station.stop()
+            await task
+            await server.stop()
+            control.close()
+
+    with ThreadPoolExecutor(1) as beside:
+        served = beside.submit(asyncio.run, session())
+        served.add_done_callback(
+            lambda one: serving.done() or serving.set_exception(one.exception())
+        )
+        station, loop = serving.result()
+        try:
+            return conversation(station)
+        finally:
+            loop.call_soon_threadsafe(station.stop)
+            served.result()
+
+
+def only_recording(config: Config) -> Any:
+    """The only recording that was made."""
+    from groundstation.recording.formats import open_recording
+
+    (path,) = Path(config.recording.folder).glob("*.mcap")
+    return open_recording(path)

@@ -1,9 +1,7 @@
 """``bench motor`` against a real daemon: thrust out over CRTP, blade times back, a motor."""
 
 import json
-import os
 import signal
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,14 +9,14 @@ import pytest
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.recording.formats import open_recording
-from groundstation.service.client import ask
-from support.daemons import COMMAND, Daemon
-from support.programs import Program, free_port, run_program
+from support.commands import Beside, connected, run
+from support.daemons import Daemon
+from support.programs import free_port
 from support.waiting import until
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory):
+def beside(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     settings = folder / "groundstation.toml"
     port = free_port()
@@ -28,30 +26,16 @@ def daemon(tmp_path_factory):
         f'[recording]\nfolder = "{folder / "sessions"}"\nlow_space_mb = 0\n'
     )
     with Daemon(folder, "--config", settings) as running:
-        running.status_when(
-            lambda s: s["command"] is not None and s["command"]["state"] == "connected",
-            "the command link is connected",
-        )
-        yield running
+        running.status_when(connected, "the command link is connected")
+        yield Beside(running)
 
 
-def command(daemon, *arguments):
-    environment = {**os.environ, "NO_COLOR": "1", "GROUNDSTATION_SOCKET": str(daemon.socket)}
-    return [COMMAND, "bench", "motor", *map(str, arguments)], environment
-
-
-def bench(daemon, *arguments):
-    words, environment = command(daemon, *arguments)
-    return run_program(words, env=environment, timeout=120)
-
-
-def test_a_motor_driven_over_the_command_link_is_the_one_that_was_fitted(daemon, tmp_path):
+def test_a_motor_driven_over_the_command_link_is_the_one_that_was_fitted(beside, tmp_path):
     model, page = tmp_path / "motor.json", tmp_path / "motor.html"
-    done = bench(daemon, "--seconds", 8, "--seed", 3, "--json")
+    done = beside.run("bench", "motor", "--seconds", 8, "--seed", 3, "--json")
     assert done.returncode == 0, done.stderr
     recorded = json.loads(done.stdout)["recording"]
-    fit = [COMMAND, "fit", "motor", recorded, "-o", str(model), "--html", str(page)]
-    run_program(fit, check=True, timeout=120)
+    run("fit", "motor", recorded, "-o", model, "--html", page)
     assert "PROPELLERS WILL TURN at up to 80% of full thrust for 8 s" in done.stderr
     truth, motor = load_vehicle("crazyflie1").motor, load_model(model).motor
     for name in ("a0", "a1", "a2"):
@@ -65,19 +49,14 @@ def test_a_motor_driven_over_the_command_link_is_the_one_that_was_fitted(daemon,
     assert any(e["text"] == "bench motor begins" for e in recording.events)
 
 
-def begun(daemon):
-    """How often motors have been driven."""
-    events = ask(daemon.socket, "GET", "/events")
-    return sum(event["text"] == "bench motor begins" for event in events)
+def test_ctrl_c_stops_the_motors_and_names_the_recording(beside):
+    def begun():
+        """How often motors have been driven."""
+        return beside.events("mark").count("bench motor begins")
 
-
-def test_ctrl_c_stops_the_motors_and_names_the_recording(daemon):
-    before = begun(daemon)
-    words, environment = command(daemon, "--profile", "chirp", "--seconds", 60)
-    with Program(
-        words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as driving:
-        until(lambda: begun(daemon) > before, "the motors are driven")
+    before = begun()
+    with beside.begun("bench", "motor", "--profile", "chirp", "--seconds", 60) as driving:
+        until(lambda: begun() > before, "the motors are driven")
         driving.send_signal(signal.SIGINT)
         _, said = driving.communicate(timeout=60)
     assert driving.returncode == 1

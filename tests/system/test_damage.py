@@ -81,7 +81,9 @@ def contents(folder):
     }
 
 
-def test_a_file_that_is_no_recording_is_neither_inspected_nor_converted(bad_file, tmp_path):
+def test_a_file_that_is_no_recording_is_not_inspected_converted_recovered_or_replayed(
+    bad_file, tmp_path, tmp_path_factory
+):
     path, says = bad_file
     before = contents(tmp_path)
     commands = [["convert", path, tmp_path / "out.csv"]]
@@ -91,27 +93,16 @@ def test_a_file_that_is_no_recording_is_neither_inspected_nor_converted(bad_file
         line = require_failure(in_process(*command))
         assert str(path) in line
         assert says in line
-    assert contents(tmp_path) == before
-
-
-def test_a_file_that_is_no_recording_is_not_recovered(bad_file, tmp_path):
-    path, _ = bad_file
-    before = contents(tmp_path)
     result = in_process("recover", path)
     if path.name == "foreign.mcap":  # a sound file: of another program, but that is no damage
         assert result.returncode == 0
         assert "sound" in result.stdout
     else:
         assert str(path) in require_failure(result)
-    assert contents(tmp_path) == before
-
-
-def test_a_file_that_is_no_recording_is_not_replayed(bad_file, tmp_path):
-    path, says = bad_file
-    folder = tmp_path / "daemon"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("daemon")
     assert says in refused_run(folder, "--link", f"replay:{path}")
     assert list(folder.iterdir()) == []
+    assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize("damaged", ["torn", "flipped"], indirect=True)

@@ -12,7 +12,7 @@ import usb.util
 from serial.tools.list_ports import comports
 
 from groundstation.cli.devices import port_row, usb_devices
-from support.daemons import COMMAND, in_process, require_failure
+from support.daemons import in_process, require_failure
 from support.programs import Program, run_program
 
 
@@ -26,7 +26,7 @@ def terminal():
     os.close(master)
 
 
-def test_devices_lists_the_ports_of_this_machine():
+def test_devices_lists_the_ports_of_this_machine_in_json_and_in_words():
     result = in_process("devices", "--json")
     assert result.returncode == 0, result.stderr
     listed = json.loads(result.stdout)
@@ -35,16 +35,12 @@ def test_devices_lists_the_ports_of_this_machine():
     for row in listed["devices"]:
         assert set(row) == {"kind", "name", "link", "description", "usable", "why"}
         assert row["usable"] == (row["why"] == "")
-
-
-def test_devices_in_words_has_a_line_for_each_and_one_for_none():
-    listed = json.loads(in_process("devices", "--json").stdout)["devices"]
     lines = in_process("devices").stdout.splitlines()
-    for row in listed:
+    for row in listed["devices"]:
         (line,) = [line for line in lines if line.startswith(row["kind"]) and row["name"] in line]
         assert (f"usable: --link {row['link']}" if row["usable"] else row["why"]) in line
     nothing = "no serial port and no telemetry bridge is plugged in"
-    assert (nothing in lines) == all(row["link"] is None for row in listed)
+    assert (nothing in lines) == all(row["link"] is None for row in listed["devices"])
 
 
 def test_devices_without_libusb_still_lists_the_ports_and_says_what_is_missing():
@@ -171,8 +167,3 @@ def test_a_bus_that_cannot_be_read_is_told(monkeypatch):
     rows, problem = usb_devices("0483:5741")
     assert rows == []
     assert "USB cannot be listed" in problem
-
-
-def test_help_has_an_example():
-    result = run_program([COMMAND, "devices", "--help"])
-    assert "Example: groundstation" in result.stdout

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 import time
 
@@ -15,8 +14,8 @@ from groundstation.errors import GroundStationError
 from groundstation.recording.formats import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service.client import ask
-from support import shim
-from support.daemons import Daemon, gaps, groundstation, require_failure
+from support.commands import software_craft
+from support.daemons import Daemon, build_shim, gaps, groundstation, require_failure
 from support.programs import Program, run_program
 from support.waiting import until
 
@@ -40,24 +39,10 @@ def envelope_s(samples):
     return (samples.host_time_ns * 1e-9 - samples.time_s).min()
 
 
-@contextlib.contextmanager
-def bridge(name, *arguments):
-    """The software craft in a process of its own, on a pseudo-terminal."""
-    settings = name.with_suffix(".toml")
-    settings.write_text("[loss]\ngood_loss = 0.0\n")
-    with Program(
-        [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{name}",
-         "--settings", settings, *arguments],
-        stdout=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
-        assert "serial:" in process.stdout.readline()
-        yield process
-
-
 def test_a_daemon_that_is_stopped_for_five_seconds_stamps_right_afterwards(tmp_path):
     name = tmp_path / "craft"
     with (
-        bridge(name),
+        software_craft(tmp_path, "[loss]\ngood_loss = 0.0\n", "--serial", f"pty:{name}"),
         Daemon(tmp_path, "--link", f"serial:{name}") as daemon,
     ):
         daemon.recording(samples=1000)
@@ -86,7 +71,7 @@ def test_a_daemon_that_is_stopped_for_five_seconds_stamps_right_afterwards(tmp_p
 
 @pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S])
 def test_a_wall_clock_that_is_stepped_by_an_hour_changes_nothing(tmp_path, step_s):
-    deceived = shim.build(tmp_path / "shim")
+    deceived = build_shim(tmp_path / "shim")
     rotate = ("--set", "recording.rotate_minutes=0.03")
     with Daemon(tmp_path, *rotate, environment=deceived.environment) as daemon:
         daemon.recording(samples=500)
@@ -106,7 +91,7 @@ def test_a_wall_clock_that_is_stepped_by_an_hour_changes_nothing(tmp_path, step_
 
 
 def test_a_power_loss_costs_only_what_was_not_synced_yet(tmp_path):
-    deceived = shim.build(tmp_path / "shim")
+    deceived = build_shim(tmp_path / "shim")
     with Daemon(tmp_path, environment=deceived.environment) as daemon:
         daemon.recording(samples=2000)
         path = daemon.only_file()

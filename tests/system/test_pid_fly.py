@@ -2,9 +2,7 @@
 
 import contextlib
 import json
-import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 
@@ -15,8 +13,9 @@ from groundstation.cli.flying import kept
 from groundstation.recording.formats import open_recording
 from groundstation.service.client import Pilot, ask
 from support import RECORDINGS
-from support.daemons import COMMAND, Daemon, groundstation, in_process, require_failure
-from support.programs import Program, free_port, run_program
+from support.commands import Beside, connected
+from support.daemons import Daemon, groundstation, in_process, require_failure
+from support.programs import free_port
 from support.waiting import until
 
 DATA = Path(__file__).parents[1] / "control" / "data"
@@ -32,62 +31,9 @@ def port():
     return free_port()
 
 
-def connected(status):
-    command = status["command"]
-    return command is not None and command["state"] == "connected"
-
-
-class Station:
-    """A daemon, and ``pid`` commands beside it with a state folder of their own."""
-
-    def __init__(self, daemon, folder):
-        self.daemon = daemon
-        self._environment = {
-            **os.environ,
-            "NO_COLOR": "1",
-            "GROUNDSTATION_SOCKET": str(daemon.socket),
-            "XDG_STATE_HOME": str(folder / "state"),
-        }
-
-    def fly(self, *arguments):
-        return run_program(
-            [COMMAND, "pid", "fly", *map(str, arguments)],
-            env=self._environment,
-            timeout=120,
-        )
-
-    def flown(self, *arguments):
-        """The same, to a good end."""
-        flight = self.fly(*arguments)
-        assert flight.returncode == 0, flight.stderr
-        return flight
-
-    @contextlib.contextmanager
-    def flying(self, *arguments, mark="pid fly programme"):
-        """``pid fly`` in the midst of its programme; killed in the end if it still runs."""
-        with Program(
-            [COMMAND, "pid", "fly", *map(str, arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=self._environment,
-        ) as flight:
-            until(self._in_programme(flight, mark), "the programme is flown")
-            yield flight
-
-    def _in_programme(self, flight, mark):
-        def look():
-            assert flight.poll() is None, f"it ended by itself: {flight.stderr.read()}"
-            return mark in self.marks()
-
-        return look
-
+class Station(Beside):
     def gain(self):
-        return ask(self.daemon.socket, "GET", "/command/parameters")["values"][GAIN]
-
-    def marks(self):
-        events = ask(self.daemon.socket, "GET", "/events")
-        return [event["text"] for event in events if event["kind"] == "mark"]
+        return self.gains()[GAIN]
 
 
 @pytest.fixture
@@ -126,7 +72,7 @@ def station_in(folder, craft, deck):
     )
     with Daemon(folder, "--config", settings) as daemon:
         daemon.status_when(connected, "the command link is connected")
-        yield Station(daemon, folder)
+        yield Station(daemon)
 
 
 def test_gains_are_flown_measured_beside_the_prediction_and_put_back(station, tmp_path):
@@ -164,10 +110,9 @@ def test_a_killed_flight_ends_with_motors_off_and_the_daemon_puts_the_gains_back
     with station.flying("--gains", GAINS, *SHORT):
         pass
     until(
-        lambda: any("motors stopped, " in e["text"] for e in ask(
-            station.daemon.socket, "GET", "/events")),
+        lambda: any("motors stopped, " in text for text in station.events("command")),
         "the failsafe has stopped the motors",
-    )  # fmt: skip
+    )
     time.sleep(1.0)
     recorded = Path(ask(station.daemon.socket, "POST", "/record/stop")["file"])
     recording = open_recording(recorded)
@@ -221,8 +166,7 @@ def test_gains_that_cannot_fly_abort_and_are_put_back(station, tmp_path):
     flight = station.fly("--gains", gains, *ONCE, "--restore")
     assert "flight aborted: " in flight.stderr
     assert "tilt of" in flight.stderr or "rate of" in flight.stderr
-    values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
-    assert values["pid_attitude.roll_kp"] == 3.5
+    assert station.gains()["pid_attitude.roll_kp"] == 3.5
 
 
 def test_a_flight_that_is_no_more_recorded_lands_and_puts_the_gains_back(station):
@@ -259,7 +203,7 @@ def test_a_replay_cannot_be_commanded(tmp_path, port):
         tmp_path, "--link", f"replay:{replayed}", "--command", f"udp://127.0.0.1:{port}"
     ) as daemon:
         daemon.status_when(lambda status: True, "an answer")
-        refused = Station(daemon, tmp_path).fly(*SHORT)
+        refused = Station(daemon).fly(*SHORT)
     assert "replay" in require_failure(refused)
 
 
@@ -299,7 +243,7 @@ def test_a_craft_that_is_not_armed_is_told_and_not_measured_on_the_ground(statio
     assert flight.returncode
     assert "the craft is not armed" in said
     assert "groundstation motors arm" in said
-    assert "pid fly programme" not in station.marks()
+    assert "pid fly programme" not in station.events("mark")
 
 
 @pytest.mark.parametrize("craft", ["brushless"])

@@ -2,10 +2,7 @@
 
 import contextlib
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,8 +11,9 @@ import pytest
 
 from groundstation.recording.formats import open_recording
 from groundstation.service.client import ask
-from support.daemons import COMMAND, Daemon, require_failure
-from support.programs import Program, free_port, run_program
+from support.commands import Beside, connected, software_craft
+from support.daemons import Daemon, require_failure
+from support.programs import free_port
 from support.waiting import until
 
 SHORT = ("--axis", "roll", "--repeat", "2", "--hold", "0.5")
@@ -25,48 +23,24 @@ DECK = "flow_deck = true"
 SETTINGS = 'plant = "reduced"\ncraft = "crazyflie21"\nprogram = "wait"\nseed = 3\n'
 
 
-class Field:
+class Field(Beside):
     """A craft that is a program of its own, a daemon, and ``pid fly`` beside them."""
 
-    def __init__(self, daemon, folder):
-        self.daemon = daemon
-        self._environment = {
-            **os.environ, "NO_COLOR": "1", "GROUNDSTATION_SOCKET": str(daemon.socket),
-        }  # fmt: skip
-        self.gains = folder / "gains.toml"
-        self.gains.write_text(f'firmware = "2.x"\n"{GAIN}" = 200.0\n')
-
-    def fly(self, *arguments):
-        return run_program(
-            [COMMAND, "pid", "fly", *map(str, arguments)], env=self._environment, timeout=200
-        )
+    def __init__(self, daemon):
+        super().__init__(daemon)
+        self.file = daemon.folder / "gains.toml"
+        self.file.write_text(f'firmware = "2.x"\n"{GAIN}" = 200.0\n')
 
     @contextlib.contextmanager
-    def flying(self):
-        """In the midst of its programme, with other gains."""
-        with Program(
-            [COMMAND, "pid", "fly", "--gains", self.gains, *LONG],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self._environment,
-        ) as flight:  # fmt: skip
-
-            def in_programme():
-                assert flight.poll() is None, flight.communicate()
-                return "pid fly manoeuvre" in self.events("mark")
-
-            until(in_programme, "the programme is flown")
-            assert self.gain() == 200.0
+    def in_programme(self):
+        """Flying with other gains."""
+        with self.flying("--gains", self.file, *LONG, mark="pid fly manoeuvre") as flight:
+            assert self.gains()[GAIN] == 200.0
             yield flight
-
-    def gain(self):
-        return ask(self.daemon.socket, "GET", "/command/parameters")["values"][GAIN]
-
-    def events(self, kind):
-        told = ask(self.daemon.socket, "GET", "/events")
-        return [event["text"] for event in told if event["kind"] == kind]
 
     def require_landed(self):
         until(lambda: any("has landed" in text for text in self.events("landing")), "it lands")
-        until(lambda: self.gain() == STOCK, "the former gain is back")
+        until(lambda: self.gains()[GAIN] == STOCK, "the former gain is back")
 
 
 @pytest.fixture
@@ -82,26 +56,19 @@ def sessions(tmp_path):
 
 @pytest.fixture
 def field(tmp_path, more, sessions):
-    settings, uri = tmp_path / "craft.toml", f"127.0.0.1:{free_port()}"
-    settings.write_text(f"{SETTINGS}{more}\n")
+    uri = f"127.0.0.1:{free_port()}"
     configured = tmp_path / "groundstation.toml"
     configured.write_text(f'[recording]\nfolder = "{sessions}"\nlow_space_mb = 0\n')
-    with Program(
-        [sys.executable, "-m", "firmware_sim", "--settings", settings, "--crtp", uri],
-        stdout=subprocess.DEVNULL,
+    with (
+        software_craft(tmp_path, f"{SETTINGS}{more}\n", "--crtp", uri),
+        Daemon(tmp_path, "--link", f"udp://{uri}", "--config", configured) as daemon,
     ):
-        reached = ("--link", f"udp://{uri}", "--config", configured)
-        with Daemon(tmp_path, *reached) as daemon:
-            daemon.status_when(
-                lambda status: status["command"] and status["command"]["state"] == "connected",
-                "the craft is there",
-            )
-            yield Field(daemon, tmp_path)
+        daemon.status_when(connected, "the craft is there")
+        yield Field(daemon)
 
 
 def test_it_is_brought_back_between_manoeuvres_landed_and_its_steps_are_measured(field):
-    flight = field.fly("--thrust", "height:0.6", "--json", *SHORT)
-    assert flight.returncode == 0, flight.stderr
+    flight = field.flown("--thrust", "height:0.6", "--json", *SHORT)
     report = json.loads(flight.stdout)
     assert report["motors"] == "landed, motors are off"
     assert "the craft holds 0.6 m by itself; Ctrl-C lands it" in flight.stderr
@@ -123,10 +90,9 @@ def test_it_is_brought_back_between_manoeuvres_landed_and_its_steps_are_measured
 
 
 def test_gains_that_flew_are_stored_and_cleared_again(field):
-    asked = ("--gains", field.gains, *SHORT)
+    asked = ("--gains", field.file, *SHORT)
     assert "give one" in require_failure(field.fly("--store", "--restore", *asked))
-    flight = field.fly("--store", "--json", *asked)
-    assert flight.returncode == 0, flight.stderr
+    flight = field.flown("--store", "--json", *asked)
     assert json.loads(flight.stdout)["stored"] == [GAIN]
     kept = ask(field.daemon.socket, "GET", "/command/stored")["parameters"][GAIN]
     assert kept == {"now": 200.0, "default": STOCK, "stored": 200.0}
@@ -136,7 +102,7 @@ def test_gains_that_flew_are_stored_and_cleared_again(field):
 
 
 def test_a_first_ctrl_c_lands_it_and_puts_the_gains_back(field):
-    with field.flying() as flight:
+    with field.in_programme() as flight:
         flight.send_signal(signal.SIGINT)
         _, stderr = flight.communicate(timeout=60)
     assert flight.returncode == 1
@@ -145,8 +111,26 @@ def test_a_first_ctrl_c_lands_it_and_puts_the_gains_back(field):
     field.require_landed()
 
 
+def test_a_ctrl_c_in_the_landing_is_told_and_puts_the_gains_back(field):
+    with field.flying("--gains", field.file, *SHORT, mark="pid fly landing") as flight:
+        flight.send_signal(signal.SIGINT)
+        _, stderr = flight.communicate(timeout=60)
+    assert flight.returncode == 1
+    assert "flight aborted: Ctrl-C; landed, motors are off" in stderr
+    field.require_landed()
+
+
+def test_a_stop_in_the_landing_is_no_good_flight(field):
+    with field.flying("--gains", field.file, *SHORT, mark="pid fly landing") as flight:
+        field.daemon.ask("POST", "/command/stop")
+        _, stderr = flight.communicate(timeout=60)
+    assert flight.returncode == 1
+    assert "Stopped by the operator, motors off" in stderr
+    until(lambda: field.gains()[GAIN] == STOCK, "the former gain is back")
+
+
 def test_a_second_ctrl_c_stops_its_motors(field):
-    with field.flying() as flight:
+    with field.in_programme() as flight:
         flight.send_signal(signal.SIGTERM)
         for line in flight.stderr:
             if "landing; Ctrl-C again stops the motors" in line:
@@ -156,12 +140,12 @@ def test_a_second_ctrl_c_stops_its_motors(field):
     assert flight.returncode == 1
     assert "stopping the motors" in stderr
     assert "flight aborted: SIGTERM; motors are off" in stderr
-    assert field.gain() == STOCK
+    assert field.gains()[GAIN] == STOCK
     assert not any("has landed" in text for text in field.events("landing"))
 
 
 def test_a_client_that_stood_still_for_a_while_is_landed_and_its_gains_are_put_back(field):
-    with field.flying() as flight:
+    with field.in_programme() as flight:
         flight.send_signal(signal.SIGSTOP)
         time.sleep(1.2)
         flight.send_signal(signal.SIGCONT)
@@ -172,7 +156,7 @@ def test_a_client_that_stood_still_for_a_while_is_landed_and_its_gains_are_put_b
 
 
 def test_the_operator_s_land_ends_it(field):
-    with field.flying() as flight:
+    with field.in_programme() as flight:
         landed = ask(field.daemon.socket, "POST", "/command/land")
         assert landed["motors"] == "landed"
         _, stderr = flight.communicate(timeout=60)
@@ -181,7 +165,7 @@ def test_the_operator_s_land_ends_it(field):
 
 
 def test_a_flight_that_is_no_more_recorded_lands(field):
-    with field.flying() as flight:
+    with field.in_programme() as flight:
         ask(field.daemon.socket, "POST", "/record/stop")
         _, stderr = flight.communicate(timeout=60)
     assert "flight aborted: recording: nothing is being recorded" in stderr
@@ -195,7 +179,7 @@ class TestOnASmallDisk:
         return small_disk("1200k")
 
     def test_a_disk_that_fills_in_flight_lands_it(self, field):
-        with field.flying() as flight:
+        with field.in_programme() as flight:
             _, stderr = flight.communicate(timeout=100)
         assert flight.returncode == 1
         assert "flight aborted: recording: " in stderr
@@ -205,7 +189,7 @@ class TestOnASmallDisk:
 
 @pytest.mark.parametrize("more", [f"{DECK}\nsoftware_build = true"])
 def test_a_craft_that_refuses_to_store_says_so_and_has_flown(field):
-    flight = field.fly("--store", "--gains", field.gains, *SHORT)
+    flight = field.fly("--store", "--gains", field.file, *SHORT)
     assert flight.returncode == 1
     assert "flown and recorded to" in flight.stderr
     assert "refused to store pid_rate.roll_kp" in flight.stderr
@@ -224,8 +208,7 @@ def test_a_craft_that_does_not_stand_level_turns_no_motor(field):
 
 @pytest.mark.parametrize("more", ["height_deck = true"])
 def test_a_craft_that_knows_its_height_alone_flies_and_is_landed(field):
-    flight = field.fly("--json", *SHORT)
-    assert flight.returncode == 0, flight.stderr
+    flight = field.flown("--json", *SHORT)
     report = json.loads(flight.stdout)
     assert report["motors"] == "landed, motors are off"
     recording = open_recording(Path(report["recording"]))

@@ -5,10 +5,7 @@ As a user does it: the software craft is a program of its own, heard and command
 
 import contextlib
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
@@ -16,9 +13,10 @@ import pytest
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.service.client import Pilot, ask, live
+from support.commands import Beside, software_craft
 from support.crafts import narrow
-from support.daemons import COMMAND, Daemon, require_failure
-from support.programs import Program, free_port, run_program
+from support.daemons import Daemon, require_failure
+from support.programs import free_port
 from support.waiting import until
 
 ONCE = ("--axis", "roll", "--repeat", "1", "--hold", "0.5", "--rest", "0.2")
@@ -27,36 +25,12 @@ LOCKED = "the craft has locked itself"
 LANDED = "landed, motors are off"
 
 
-class Field:
+class Field(Beside):
     """A craft, the radio between, and a daemon; commands beside it."""
 
-    def __init__(self, craft, radio, daemon, folder):
-        self.craft, self.radio, self.daemon = craft, radio, daemon
-        self._environment = {
-            **os.environ,
-            "NO_COLOR": "1",
-            "GROUNDSTATION_SOCKET": str(daemon.socket),
-            "XDG_STATE_HOME": str(folder / "state"),
-        }
-
-    def run(self, *arguments):
-        return run_program([COMMAND, *arguments], env=self._environment, timeout=120)
-
-    def events(self, kind):
-        told = ask(self.daemon.socket, "GET", "/events")
-        return [event["text"] for event in told if event["kind"] == kind]
-
-    @contextlib.contextmanager
-    def flying(self):
-        """``pid fly`` in the midst of its programme."""
-        with Program(
-            [COMMAND, "pid", "fly", *LONG],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self._environment,
-        ) as flight:  # fmt: skip
-            until(lambda: flight.poll() is not None or "pid fly programme" in self.events("mark"),
-                  "the programme is flown")  # fmt: skip
-            assert flight.poll() is None, f"it ended by itself: {flight.communicate()[1]}"
-            yield flight
+    def __init__(self, craft, radio, daemon):
+        super().__init__(daemon)
+        self.craft, self.radio = craft, radio
 
     def connected_again(self):
         def streams(status):
@@ -81,31 +55,27 @@ class Field:
 
 @pytest.fixture
 def field(tmp_path, request):
-    settings, port = tmp_path / "craft.toml", free_port()
+    port = free_port()
     given = {"craft": '"crazyflie21"', "protocol": "9", **getattr(request, "param", {})}
     always = 'program = "wait"\nresume_s = 1e6\nflow_deck = true\n'
-    settings.write_text(always + "".join(f"{key} = {value}\n" for key, value in given.items()))
+    settings = always + "".join(f"{key} = {value}\n" for key, value in given.items())
     with (
-        Program(
-            [sys.executable, "-m", "firmware_sim", "--settings", settings,
-             "--crtp", f"127.0.0.1:{port}"], stdout=subprocess.PIPE, text=True,
-        ) as craft,
+        software_craft(tmp_path, settings, "--crtp", f"127.0.0.1:{port}") as craft,
         narrow(port) as radio,
-    ):  # fmt: skip
-        assert "CRTP" in craft.stdout.readline()
-        with Daemon(tmp_path, "--link", radio.uri, "--recordings", "sessions") as daemon:
-            found = Field(craft, radio, daemon, tmp_path)
-            found.connected_again()
-            yield found
+        Daemon(tmp_path, "--link", radio.uri, "--recordings", "sessions") as daemon,
+    ):
+        found = Field(craft, radio, daemon)
+        found.connected_again()
+        yield found
 
 
 def last_line(flight):
-    """What an aborted flight says in the end, which is all it may say but for the help and for what
-    it does."""
+    """What an aborted flight says in the end, which is all it may say but for the help, for what it
+    does and for what becomes of the parameters that it wrote."""
     _, stderr = flight.communicate(timeout=120)
     assert flight.returncode == 1, stderr
     *before, last = stderr.strip().splitlines()
-    assert len(before) <= 2, stderr
+    assert len([line for line in before if "parameters" not in line]) <= 2, stderr
     assert last.startswith("groundstation: flight aborted: ")
     return last
 
@@ -113,8 +83,7 @@ def last_line(flight):
 def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(field):
     """Today's firmware locks a craft whose setpoints cease within 2 s after its motors turned."""
     for _ in range(2):
-        flight = field.run("pid", "fly", *ONCE, "--json")
-        assert flight.returncode == 0, flight.stderr
+        flight = field.flown(*ONCE, "--json")
         assert json.loads(flight.stdout)["motors"] == LANDED
         time.sleep(3.0)
         assert field.events("fault") == []
@@ -124,11 +93,10 @@ def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(fie
 @pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
 def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
     field.says("the craft is not armed")
-    assert "the craft is not armed" in require_failure(field.run("pid", "fly", *ONCE))
+    assert "the craft is not armed" in require_failure(field.fly(*ONCE))
     assert field.run("motors", "arm").stdout == "armed\n"
     until(lambda: field.duty() > 0.1, "the motors idle")
-    flight = field.run("pid", "fly", *ONCE, "--json")
-    assert flight.returncode == 0, flight.stderr
+    flight = field.flown(*ONCE, "--json")
     assert json.loads(flight.stdout)["motors"] == LANDED
     assert field.duty() == 0.0
     field.daemon.status_when(lambda s: s["command"]["armed"] is False, "the craft is disarmed")
@@ -142,8 +110,7 @@ def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
 def test_a_software_build_that_tells_no_battery_is_flown_and_that_is_said(field, tmp_path):
     model = tmp_path / "model.json"
     save_model(vehicle_model(BUILT_IN["crazyflie21"]), model)
-    flight = field.run("pid", "fly", *ONCE, "--model", model, "--json")
-    assert flight.returncode == 0, flight.stderr
+    flight = field.flown(*ONCE, "--model", model, "--json")
     assert "the craft does not tell its battery's voltage" in flight.stderr
     assert "no battery was told: the prediction is for 3.7 V" in flight.stderr
     told = json.loads(flight.stdout)
@@ -168,7 +135,7 @@ def test_a_client_that_leaves_a_craft_in_altitude_hold_leaves_no_motor_turning(f
 @pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
 def test_a_second_without_radio_ends_a_flight_and_the_next_one_flies(field):
     assert field.run("motors", "arm").stdout == "armed\n"
-    with field.flying() as flight:
+    with field.flying(*LONG) as flight:
         field.radio.stalled = True
         time.sleep(1.4)
         field.radio.stalled = False
@@ -179,13 +146,12 @@ def test_a_second_without_radio_ends_a_flight_and_the_next_one_flies(field):
     field.daemon.status_when(lambda s: s["command"]["armed"] is False, "the craft is disarmed")
     time.sleep(2.5)  # armed before that it would call itself landed, and be disarmed 3 s later
     assert field.run("motors", "arm").stdout == "armed\n"
-    again = field.run("pid", "fly", *ONCE)
-    assert again.returncode == 0, again.stderr
+    field.flown(*ONCE)
 
 
 @pytest.mark.parametrize("field", [{"craft": '"crazyflie21plus"', "protocol": "7"}], indirect=True)
 def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopped(field):
-    with field.flying() as flight:
+    with field.flying(*LONG) as flight:
         field.radio.stalled = True
         last = last_line(flight)
         assert "nothing says that the motors stopped" in last
@@ -197,7 +163,7 @@ def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopp
     field.connected_again()
     field.says(LOCKED)
     assert LOCKED in require_failure(field.run("motors", "arm"))
-    refused = require_failure(field.run("pid", "fly", *ONCE))
+    refused = require_failure(field.fly(*ONCE))
     assert LOCKED in refused
     assert refused.endswith("switch it off and on; nothing was flown")
     assert field.run("motors", "stop").stdout.startswith("stopped")
@@ -207,7 +173,7 @@ def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopp
 def test_a_craft_whose_program_stands_still_for_five_seconds_ends_the_flight(field):
     """Its time stands still too, unlike a radio's; what was sent meanwhile comes late."""
     assert field.run("motors", "arm").stdout == "armed\n"
-    with field.flying() as flight:
+    with field.flying(*LONG) as flight:
         field.craft.send_signal(signal.SIGSTOP)
         try:
             last = last_line(flight)
@@ -224,7 +190,7 @@ def test_a_craft_on_its_back_is_neither_armed_nor_flown(field):
     field.says("lies on its side or its back: set it upright")
     told = require_failure(field.run("motors", "arm"))
     assert "the craft refuses to arm its motors: the craft lies on its side" in told
-    refused = require_failure(field.run("pid", "fly", *ONCE))
+    refused = require_failure(field.fly(*ONCE))
     assert refused.endswith("set it upright; nothing was flown")
     told = require_failure(field.run("motors", "recover"))
     assert "the craft does not say that it has crashed" in told

@@ -11,26 +11,19 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from groundstation.cli.app import app
 from groundstation.dynamics.vehicle import load_vehicle
+from support.commands import run
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 FLIGHT = str(RECORDINGS / "nanobench_figure8.mcap")
 HELD = f"--validate={RECORDINGS / 'nanobench_trefoil.mcap'}"
 
 
-def said(*words):
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     model = tmp_path_factory.mktemp("real") / "real.json"
-    said("fit", "body", FLIGHT, HELD, "-o", str(model))
+    run("fit", "body", FLIGHT, HELD, "-o", str(model))
     return model
 
 
@@ -55,7 +48,7 @@ def test_the_two_flights_agree_within_their_stated_intervals(fitted, tmp_path):
     """Fitted apart, on other days and paths. The likelihood alone states 2 to 3 %; single flights
     of this set differ by 31 %."""
     other = tmp_path / "trefoil.json"
-    said("fit", "body", HELD.removeprefix("--validate="), f"--validate={FLIGHT}", "-o", str(other))
+    run("fit", "body", HELD.removeprefix("--validate="), f"--validate={FLIGHT}", "-o", str(other))
     fits = [json.loads(path.read_text())["fit"]["body"]["estimates"] for path in (fitted, other)]
     for name in ("c0", "c1"):
         values = [one["values"][one["names"].index(name)] for one in fits]
@@ -71,7 +64,7 @@ def test_a_figure_of_eight_does_not_tell_the_drag_of_the_rotors(fitted):
     assert model["body"]["c2"] == load_vehicle("crazyflie21").body_constants[2]
 
 
-def test_a_hundred_rows_a_second_are_called_too_few_for_the_errors_that_are_said(fitted):
+def test_a_hundred_rows_a_second_are_called_too_few_for_the_errors_that_are_run(fitted):
     (warning,) = (
         w for w in json.loads(fitted.read_text())["fit"]["body"]["warnings"] if "one in" in w
     )

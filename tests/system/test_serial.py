@@ -1,34 +1,13 @@
 """The daemon on a serial port whose other end comes, dies and comes back."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
 from groundstation.recording.formats import open_recording
 from groundstation.recording.mcap_scan import recover
+from support.commands import software_craft
 from support.daemons import Daemon, refused_run
-from support.programs import Program
 from support.waiting import until
-
-
-class Bridge:
-    """``python -m firmware_sim`` serving a pseudo-terminal under a fixed name."""
-
-    def __init__(self, name, *arguments):
-        self.process = Program(
-            [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{name}", *arguments],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    def __enter__(self):
-        assert self.process.stdout.readline().startswith("telemetry on serial:")
-        return self
-
-    def __exit__(self, *_):
-        self.process.__exit__(None, None, None)
 
 
 @pytest.fixture
@@ -43,10 +22,9 @@ def in_state(state):
 def flown_over_a_port(folder):
     """What a daemon recorded, and what it said."""
     folder.mkdir()
-    settings, name = folder / "sound.toml", folder / "craft"
-    settings.write_text("[loss]\ngood_loss = 0.0\n")
+    name = folder / "craft"
     with (
-        Bridge(name, "--settings", str(settings)),
+        software_craft(folder, "[loss]\ngood_loss = 0.0\n", "--serial", f"pty:{name}"),
         Daemon(folder, "--link", f"serial:{name}") as daemon,
     ):
         daemon.recording(samples=1000)
@@ -76,12 +54,12 @@ def test_a_port_that_is_absent_then_there_then_dead_then_back(tmp_path, name):
         daemon.status_when(in_state("opening"), "waiting for the port")
         until(lambda: "is not there" in daemon.stderr, "the daemon says so")
         assert daemon.files() == []
-        with Bridge(name, "--seed", "1"):
+        with software_craft(tmp_path, "seed = 1\n", "--serial", f"pty:{name}"):
             daemon.recording(samples=500)
             assert daemon.status()["link"]["state"] == "streaming"
         daemon.status_when(in_state("lost"), "the daemon sees that the port died")
         before = daemon.status()["recording"]["samples"]
-        with Bridge(name, "--seed", "2"):
+        with software_craft(tmp_path, "seed = 2\n", "--serial", f"pty:{name}"):
             # the last of the first bridge may not have been in the file yet
             daemon.recording(samples=before + 600)
         daemon.status_when(in_state("lost"), "lost again")

@@ -1,77 +1,26 @@
 """The daemon in a terminal: a line that keeps the operator informed, and a real Ctrl-C."""
 
-import os
-import pty
-import signal
-
 import pytest
 
 from groundstation.recording.formats import open_recording
 from support import RECORDINGS
-from support.daemons import COMMAND, gaps
+from support.commands import Terminal
+from support.daemons import gaps
 from support.programs import on_free_ports
 from support.waiting import until
-
-
-class Terminal:
-    """A program on a pseudo-terminal of its own: what it shows, and what is typed."""
-
-    def __init__(self, folder, *arguments, environment=()):
-        self.shown = ""
-        self.status = None
-        self._pid, self._screen = pty.fork()
-        if self._pid == 0:
-            os.chdir(folder)
-            os.environ["GROUNDSTATION_SOCKET"] = str(folder / "control.sock")
-            os.environ.update(environment)
-            os.execv(COMMAND, [COMMAND, *map(str, arguments)])
-        os.set_blocking(self._screen, False)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        if self.status is None:
-            os.kill(self._pid, signal.SIGKILL)
-            os.waitpid(self._pid, 0)
-        os.close(self._screen)
-
-    def type(self, keys):
-        os.write(self._screen, keys)
-
-    def shows(self, text):
-        self._look()
-        return text in self.shown
-
-    def has_ended(self):
-        self._look()
-        if self.status is None:
-            pid, status = os.waitpid(self._pid, os.WNOHANG)
-            if pid:
-                self.status = os.waitstatus_to_exitcode(status)
-                self._look()
-        return self.status is not None
-
-    def _look(self):
-        try:
-            while piece := os.read(self._screen, 65536):
-                self.shown += piece.decode(errors="replace")
-        except OSError:  # nothing more now, or the other side is closed
-            pass
 
 
 @pytest.mark.parametrize("viewer", ["off", "serve"])
 def test_ctrl_c_in_a_terminal_finishes_the_recording(tmp_path, viewer):
     ports = on_free_ports("viewer.port", "viewer.web_port")
     with Terminal(tmp_path, "run", "--viewer", viewer, *ports) as terminal:
-        until(lambda: terminal.shows("Ctrl-C stops and finishes the recording"), "introduced")
-        until(lambda: terminal.shows("streaming"), "telemetry")
-        until(lambda: terminal.shows("samples/s  0.00 % lost"), "the operator is informed")
+        terminal.until("Ctrl-C stops and finishes the recording")
+        terminal.until("streaming")
+        terminal.until("samples/s  0.00 % lost")
         if viewer == "serve":
-            until(lambda: terminal.shows("serving at http://127.0.0.1:"), "the view is served")
+            terminal.until("serving at http://127.0.0.1:")
         terminal.type(b"\x03")
-        until(terminal.has_ended, "the end")
-        assert terminal.status == 0, terminal.shown
+        assert terminal.ends() == 0, terminal.shown
     assert "Traceback" not in terminal.shown
     assert "fault" not in terminal.shown
     (path,) = (tmp_path / "sessions").glob("*.mcap")
@@ -84,9 +33,8 @@ def test_a_silent_wait_shows_a_word_and_a_bar_which_are_gone_when_the_answer_com
     cold = {"NUMBA_CACHE_DIR": str(tmp_path / "nothing_compiled_yet")}
     flight = RECORDINGS / "stand_in_flight.mcap"
     with Terminal(tmp_path, "inspect", flight, environment=cold) as terminal:
-        until(lambda: terminal.shows("compiling, once per machine"), "why it waits")
-        until(terminal.has_ended, "the end", 270)
-        assert terminal.status == 0
+        terminal.until("compiling, once per machine")
+        assert terminal.ends(270) == 0
     bars, _, answer = terminal.shown.rpartition("\r\x1b[K")
     assert "[===" in bars or " ===" in bars
     assert f"reading {flight}" in bars
@@ -103,7 +51,7 @@ def test_the_page_is_opened_where_somebody_sees_it_and_never_in_ci(tmp_path, ci)
     options = ("run", "--page", *on_free_ports("page.port"))
     with Terminal(tmp_path, *options, environment=seen) as terminal:
         if ci:
-            until(lambda: terminal.shows("receiving"), "receiving")
+            terminal.until("receiving")
             assert terminal.shows("/?token=")
         else:
             until(opened.exists, "the browser")
@@ -112,6 +60,5 @@ def test_the_page_is_opened_where_somebody_sees_it_and_never_in_ci(tmp_path, ci)
             assert address.startswith(f"http://127.0.0.1:{port}/?token=")
             assert not terminal.shows(address)  # the one that is printed lets another browser in
         terminal.type(b"\x03")
-        until(terminal.has_ended, "the end")
-        assert terminal.status == 0
+        assert terminal.ends() == 0
     assert opened.exists() == (not ci)

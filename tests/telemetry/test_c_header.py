@@ -9,7 +9,7 @@ import pytest
 from groundstation.telemetry import packet as bridge_usb
 from groundstation.telemetry.packet import encode, frame_packets
 from support.programs import run_program
-from support.usb_descriptors import configuration_descriptor, device_descriptor
+from support.usb_device import configuration_descriptor, device_descriptor
 
 HEADER = Path(bridge_usb.__file__).with_name("groundstation_telemetry.h").read_text()
 GOLDEN = bytes.fromhex(

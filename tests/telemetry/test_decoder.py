@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from groundstation.telemetry.decoder import COMPILE_FROM, Decoder, decode_all
 from groundstation.telemetry.packet import Packets, encode
 from groundstation.telemetry.samples import RawBatch, SampleBatch, packet_counts
-from support.radio_adversary import EPOCH_NS, PERIOD_NS, Flight, Reception, fly, receive
+from support.packets import EPOCH_NS, PERIOD_NS, Flight, Reception, fly, receive
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -66,6 +66,16 @@ def test_no_sample_that_arrived_is_lost_or_doubled_under_loss_and_interleaving(
     assert counts.duplicates == len(reception.sample) - len(arrived)
     if len(arrived):
         assert counts.lost == arrived[-1] - arrived[0] + 1 - len(arrived)
+
+
+def test_a_sample_that_its_successor_overtakes_is_given_out_in_its_place() -> None:
+    rng = np.random.default_rng(3)
+    flight = fly(rng, [(100, 0.0, False)])
+    reception = receive(rng, flight, copies=1, loss=0.0, burst=0.0, swap=0.3)
+    assert (np.diff(reception.sample) < 0).sum() > 5
+    samples, decoder = decode_in_batches(reception.batch, 16)
+    assert_every_arrived_sample_once(samples, flight, reception)
+    assert decoder.counts().lost == 0
 
 
 @settings(max_examples=40)

@@ -38,8 +38,8 @@ def test_commands_come_after_those_that_make_their_files():
     given = set(inputs())
     for name in RECIPES:
         there = set(given)
-        for line in chain(name):
-            made = next(one for one, recipe in RECIPES.items() if recipe == line)
+        for made in chain(name):
+            line = RECIPES[made]
             words = line.replace(f"> {made}", "").replace(f"-o {made}", "").split()
             files = {word for word in words if re.fullmatch(r"\w+\.(csv|json|toml)", word)}
             assert files <= there, line

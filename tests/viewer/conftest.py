@@ -5,6 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from support import programs
+from support.coroutines import pytest_pyfunc_call as pytest_pyfunc_call
 from support.packets import wobble, wobbling_flight
 
 __all__ = ["wobble", "wobbling_flight"]

@@ -6,16 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from groundstation.links.command import LinkEvent
 from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
 from groundstation.viewer.messages import (
     MAX_BYTES,
     MAX_ROWS,
     Acknowledgement,
-    EventMessage,
-    SamplesMessage,
     decode_acknowledgement,
     decode_message,
     encode_message,
+    message_of,
+    samples_in,
 )
 
 
@@ -32,23 +33,27 @@ def batches(draw):
 
 @given(batch=batches())
 def test_samples_arrive_bit_by_bit(batch):
-    message = decode_message(encode_message(SamplesMessage.of(batch)))
-    assert isinstance(message, SamplesMessage)
-    assert message.batch().tick_s == batch.tick_s
+    kind, content = decode_message(encode_message(message_of(batch)))
+    arrived = samples_in(content)
+    assert kind == "samples"
+    assert arrived.tick_s == batch.tick_s
     for name in COLUMNS:
-        assert getattr(message.batch(), name).tobytes() == getattr(batch, name).tobytes()
-        assert getattr(message.batch(), name).shape == getattr(batch, name).shape
+        assert getattr(arrived, name).dtype == getattr(batch, name).dtype
+        assert getattr(arrived, name).tobytes() == getattr(batch, name).tobytes()
+        assert getattr(arrived, name).shape == getattr(batch, name).shape
 
 
 def test_a_full_message_fits_the_readers_buffer():
-    message = SamplesMessage.of(empty_samples(MAX_ROWS))
+    message = message_of(empty_samples(MAX_ROWS))
     assert len(encode_message(message)) < MAX_BYTES / 2
 
 
 def test_an_event_may_carry_details_that_only_python_knows():
     details = {"path": ValueError("no such port"), "n": 3}
-    message = decode_message(encode_message(EventMessage({"time_ns": 5, "details": details})))
-    assert message.entry == {"time_ns": 5, "details": {"path": "no such port", "n": 3}}
+    event = LinkEvent(5, "usb", "fault", "gone", details)
+    _, content = decode_message(encode_message(message_of(event)))
+    assert content["time_ns"] == 5
+    assert content["details"] == {"path": "no such port", "n": 3}
 
 
 @given(total=st.integers(0, 2**62))
@@ -63,6 +68,6 @@ def test_noise_is_refused(data):
 
 
 def test_decoded_samples_are_views_not_copies():
-    batch = decode_message(encode_message(SamplesMessage.of(empty_samples(4)))).batch()
+    batch = samples_in(decode_message(encode_message(message_of(empty_samples(4))))[1])
     assert not batch.gyro.flags.owndata
     assert batch.ticks.dtype == np.int64

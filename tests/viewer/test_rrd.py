@@ -13,7 +13,7 @@ from groundstation.recording.rrd import ROWS_PER_CHUNK, write_rrd
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.samples import empty_samples
 from support.programs import run_program
-from support.rrd import SCALARS, TEXT, column
+from support.viewer import SCALARS, TEXT, column
 
 
 def test_a_recording_is_shown_in_the_units_that_people_read(flight, tmp_path):

@@ -15,7 +15,7 @@ from groundstation.recording.rrd import write_rrd
 from groundstation.recording.session import Recording
 from groundstation.rerun_log.channels import GROUPS, MOTORS, STATISTICS
 from groundstation.telemetry.samples import empty_samples
-from support.screenshots import hidden_viewer, software_driver
+from support.viewer import hidden_viewer, software_driver
 
 pytestmark = [
     pytest.mark.screenshot,

@@ -19,13 +19,12 @@ import pytest
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
 from groundstation.links.command import LinkEvent
-from groundstation.rerun_log.channels import GROUPS, scaled
-from groundstation.rerun_log.installed import rerun_program
+from groundstation.rerun_log.channels import GROUPS, rerun_program, scaled
 from groundstation.telemetry.decoder import Decoder, LinkMeter
 from groundstation.telemetry.samples import LogTable, SampleBatch
 from groundstation.viewer.viewer import Viewer, ViewerMode
 from support.programs import Program, run_program
-from support.rrd import SCALARS, TEXT, column
+from support.viewer import SCALARS, TEXT, column
 from support.waiting import eventually
 
 PATIENCE_S = 60
@@ -94,10 +93,16 @@ def session(free_port, wobble):
     return lambda mode=ViewerMode.SERVE: Session(free_port, wobble, mode)
 
 
-def test_what_another_viewer_saves_is_what_was_streamed(session, wobble, tmp_path, free_port):
+async def test_what_another_viewer_saves_is_what_was_streamed(session, wobble, tmp_path, free_port):
     saved = tmp_path / "saved.rrd"
 
-    async def stream(programs):
+    def complete(path):
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            shown = column(path, SCALARS)
+            return len(shown.get("/telemetry/rates", ())) == 1000 and "/link/loss_pct" in shown
+        return False
+
+    with contextlib.ExitStack() as programs:
         async with session() as s:
             await s.serving()
             s.viewer.note(LinkEvent(int(wobble(1).host_time_ns[0]), "usb", "lost", "gone"))
@@ -122,15 +127,6 @@ def test_what_another_viewer_saves_is_what_was_streamed(session, wobble, tmp_pat
             assert s.viewer.status()["dropped"] == 0
         # the other viewer finishes its file when the server is gone; a signal would tear it
         other.wait(PATIENCE_S)
-
-    def complete(path):
-        with contextlib.suppress(OSError, RuntimeError, ValueError):
-            shown = column(path, SCALARS)
-            return len(shown.get("/telemetry/rates", ())) == 1000 and "/link/loss_pct" in shown
-        return False
-
-    with contextlib.ExitStack() as programs:
-        asyncio.run(stream(programs))
     shown, said = column(saved, SCALARS), column(saved, TEXT)
     expected = SampleBatch.concatenate([wobble(10, first) for first in range(0, 1000, 10)])
     check_timelines(saved, expected)
@@ -162,72 +158,63 @@ def check_timelines(path, samples):
     )
 
 
-def test_the_printed_address_opens_on_the_stream_and_only_this_machine_can(session):
-    async def look():
-        async with session() as s:
-            await s.serving()
-            web, command = s.viewer.status()["urls"]
-            address = urlsplit(web)
-            stream = f"rerun+http://127.0.0.1:{s.port}/proxy"
-            assert parse_qs(address.query)["url"] == [stream]
-            assert command.endswith(f"--connect {stream}")
-            page = http.client.HTTPConnection(address.hostname, address.port, timeout=PATIENCE_S)
-            page.request("GET", f"/?{address.query}")
-            assert b"rerun" in page.getresponse().read().lower()
-            page.close()
-            for marker in (SERVER, RELAY):
-                listening = child(marker).net_connections("inet")
-                places = {c.laddr.ip for c in listening if c.status == "LISTEN"}
-                assert places
-                assert all(place.startswith("127.") for place in places)
-
-    asyncio.run(look())
+async def test_the_printed_address_opens_on_the_stream_and_only_this_machine_can(session):
+    async with session() as s:
+        await s.serving()
+        web, command = s.viewer.status()["urls"]
+        address = urlsplit(web)
+        stream = f"rerun+http://127.0.0.1:{s.port}/proxy"
+        assert parse_qs(address.query)["url"] == [stream]
+        assert command.endswith(f"--connect {stream}")
+        page = http.client.HTTPConnection(address.hostname, address.port, timeout=PATIENCE_S)
+        page.request("GET", f"/?{address.query}")
+        assert b"rerun" in page.getresponse().read().lower()
+        page.close()
+        for marker in (SERVER, RELAY):
+            listening = child(marker).net_connections("inet")
+            places = {c.laddr.ip for c in listening if c.status == "LISTEN"}
+            assert places
+            assert all(place.startswith("127.") for place in places)
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_relay_that_dies_or_stalls_is_replaced_and_samples_flow_again(session, how):
+async def test_a_relay_that_dies_or_stalls_is_replaced_and_samples_flow_again(session, how):
     """The others: ``tests/system/test_live_view.py``."""
 
-    async def stream():
-        async with session() as s:
-            await s.serving()
-            await s.flow_until(lambda: s.viewer.status()["sent"] > 500, "the first samples")
-            process = child(RELAY)
-            process.send_signal(how)
-            await s.flow_until(lambda: s.viewer.status()["restarts"] >= 1, "noticed")
-            await s.flow_until(lambda: s.viewer.status()["state"] == "serving", "serving again")
-            sent = s.viewer.status()["sent"]
-            await s.flow_until(lambda: s.viewer.status()["sent"] > sent + 500, "samples again")
-            assert not process.is_running()
-            assert [kind for kind, _ in s.said][:2] == ["viewer", "fault"]
-        assert s.balance() <= s.shown <= s.balance() + 2000  # the rest still waited at the end
-
-    asyncio.run(stream())
+    async with session() as s:
+        await s.serving()
+        await s.flow_until(lambda: s.viewer.status()["sent"] > 500, "the first samples")
+        process = child(RELAY)
+        process.send_signal(how)
+        await s.flow_until(lambda: s.viewer.status()["restarts"] >= 1, "noticed")
+        await s.flow_until(lambda: s.viewer.status()["state"] == "serving", "serving again")
+        sent = s.viewer.status()["sent"]
+        await s.flow_until(lambda: s.viewer.status()["sent"] > sent + 500, "samples again")
+        assert not process.is_running()
+        assert [kind for kind, _ in s.said][:2] == ["viewer", "fault"]
+    assert s.balance() <= s.shown <= s.balance() + 2000  # the rest still waited at the end
 
 
-def test_a_stalled_feeder_costs_samples_but_neither_time_nor_memory(session, wobble):
+async def test_a_stalled_feeder_costs_samples_but_neither_time_nor_memory(session, wobble):
     batch = wobble(500)
 
-    async def stream():
-        async with session() as s:
-            await s.serving()
-            child(FEEDER).send_signal(signal.SIGSTOP)
-            memory = psutil.Process().memory_info().rss
-            for _ in range(2000):  # an hour's worth before anybody notices
-                for _ in range(2):
-                    s.viewer.samples(batch)
-                await asyncio.sleep(0)
-            await eventually(lambda: s.viewer.status()["restarts"] == 1, "noticed")
-            assert psutil.Process().memory_info().rss - memory < 20e6
-            status = s.viewer.status()
-            assert status["dropped"] >= 2_000_000 - 4000
-            assert status["sent"] + status["dropped"] <= 2_000_000
-
-    asyncio.run(stream())
+    async with session() as s:
+        await s.serving()
+        child(FEEDER).send_signal(signal.SIGSTOP)
+        memory = psutil.Process().memory_info().rss
+        for _ in range(2000):  # an hour's worth before anybody notices
+            for _ in range(2):
+                s.viewer.samples(batch)
+            await asyncio.sleep(0)
+        await eventually(lambda: s.viewer.status()["restarts"] == 1, "noticed")
+        assert psutil.Process().memory_info().rss - memory < 20e6
+        status = s.viewer.status()
+        assert status["dropped"] >= 2_000_000 - 4000
+        assert status["sent"] + status["dropped"] <= 2_000_000
 
 
-def test_a_stopped_viewer_on_the_stream_hurts_nobody(session, free_port, tmp_path):
-    async def stream(programs):
+async def test_a_stopped_viewer_on_the_stream_hurts_nobody(session, free_port, tmp_path):
+    with contextlib.ExitStack() as programs:
         async with session() as s:
             await s.serving()
             command = [
@@ -259,46 +246,34 @@ def test_a_stopped_viewer_on_the_stream_hurts_nobody(session, free_port, tmp_pat
             assert s.viewer.status()["restarts"] == 0
             assert server.memory_info().rss < 400e6
 
-    with contextlib.ExitStack() as programs:
-        asyncio.run(stream(programs))
+
+async def test_stop_ends_every_child_even_stopped_ones(session):
+    async with session() as s:
+        await s.serving()
+        s.show(100)
+        children = [child(FEEDER), child(SERVER)]
+        for process in children:
+            process.send_signal(signal.SIGSTOP)
+    assert not [process for process in children if process.is_running()]
+    assert s.viewer.status()["state"] == "off"
+    assert s.viewer.status()["sent"] == 100  # what waited was handed over
+    await s.viewer.stop()
 
 
-def test_stop_ends_every_child_even_stopped_ones(session):
-    async def stream():
-        async with session() as s:
+async def test_it_can_be_started_again_on_the_same_ports(session):
+    s = session()
+    for _ in range(2):
+        async with s:
             await s.serving()
-            s.show(100)
-            children = [child(FEEDER), child(SERVER)]
-            for process in children:
-                process.send_signal(signal.SIGSTOP)
-        assert not [process for process in children if process.is_running()]
-        assert s.viewer.status()["state"] == "off"
-        assert s.viewer.status()["sent"] == 100  # what waited was handed over
-        await s.viewer.stop()
-
-    asyncio.run(stream())
+            s.show(10)
 
 
-def test_it_can_be_started_again_on_the_same_ports(session):
-    async def twice():
-        s = session()
-        for _ in range(2):
-            async with s:
-                await s.serving()
-                s.show(10)
-
-    asyncio.run(twice())
-
-
-def test_stopping_before_it_serves_leaves_nothing(session):
+async def test_stopping_before_it_serves_leaves_nothing(session):
     before = psutil.Process().children(recursive=True)  # other tests' helpers
 
-    async def stream():
-        async with session():
-            await eventually(lambda: child("groundstation.viewer.feeder"), "the feeder starts")
-        assert psutil.Process().children(recursive=True) == before
-
-    asyncio.run(stream())
+    async with session():
+        await eventually(lambda: child("groundstation.viewer.feeder"), "the feeder starts")
+    assert psutil.Process().children(recursive=True) == before
 
 
 @pytest.mark.parametrize("which", ["port", "web_port"])
@@ -319,7 +294,7 @@ def test_a_missing_rerun_program_is_one_clear_line(session, monkeypatch, tmp_pat
         asyncio.run(session().viewer.start())
 
 
-def test_a_program_that_cannot_serve_is_retried_reported_and_costs_nothing_else(
+async def test_a_program_that_cannot_serve_is_retried_reported_and_costs_nothing_else(
     session, monkeypatch, tmp_path
 ):
     broken = tmp_path / "rerun"
@@ -328,19 +303,16 @@ def test_a_program_that_cannot_serve_is_retried_reported_and_costs_nothing_else(
     monkeypatch.setenv("RERUN_CLI_PATH", str(broken))
     monkeypatch.setattr("groundstation.viewer.viewer.BACK_OFF_S", (0.05, 0.1))
 
-    async def stream():
-        async with session() as s:
-            await s.flow_until(lambda: s.viewer.status()["state"] == "failed", "given up hope")
-            assert s.viewer.status()["restarts"] == 3
-            await s.flow_until(lambda: s.viewer.status()["dropped"] > 0, "drops are counted")
-            monkeypatch.delenv("RERUN_CLI_PATH")
-            await s.flow_until(lambda: s.viewer.status()["state"] == "serving", "it recovers")
-        assert (
-            "fault",
-            "the rerun server ended: no such flag; starting it again in 0.05 s",
-        ) in s.said
-
-    asyncio.run(stream())
+    async with session() as s:
+        await s.flow_until(lambda: s.viewer.status()["state"] == "failed", "given up hope")
+        assert s.viewer.status()["restarts"] == 3
+        await s.flow_until(lambda: s.viewer.status()["dropped"] > 0, "drops are counted")
+        monkeypatch.delenv("RERUN_CLI_PATH")
+        await s.flow_until(lambda: s.viewer.status()["state"] == "serving", "it recovers")
+    assert (
+        "fault",
+        "the rerun server ended: no such flag; starting it again in 0.05 s",
+    ) in s.said
 
 
 def test_without_a_display_spawn_says_what_to_do_instead(session, monkeypatch):
@@ -350,36 +322,30 @@ def test_without_a_display_spawn_says_what_to_do_instead(session, monkeypatch):
         asyncio.run(session(ViewerMode.SPAWN).viewer.start())
 
 
-def test_a_window_that_cannot_open_is_reported_and_serving_goes_on(session, monkeypatch):
+async def test_a_window_that_cannot_open_is_reported_and_serving_goes_on(session, monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":987")
 
-    async def stream():
-        async with session(ViewerMode.SPAWN) as s:
-            await eventually(lambda: len(s.said) == 2, "the window ends")
-            assert s.viewer.status()["state"] == "serving"
-        (_, serving), (kind, text) = s.said
-        assert serving.startswith("serving at http://127.0.0.1:")
-        assert kind == "fault"
-        assert text.startswith("the viewer window ended: ")
-
-    asyncio.run(stream())
+    async with session(ViewerMode.SPAWN) as s:
+        await eventually(lambda: len(s.said) == 2, "the window ends")
+        assert s.viewer.status()["state"] == "serving"
+    (_, serving), (kind, text) = s.said
+    assert serving.startswith("serving at http://127.0.0.1:")
+    assert kind == "fault"
+    assert text.startswith("the viewer window ended: ")
 
 
-def test_off_means_off(session, wobble):
+async def test_off_means_off(session, wobble):
     before = psutil.Process().children()
 
-    async def stream():
-        async with session(ViewerMode.OFF) as s:
-            s.viewer.samples(wobble(10))
-            s.viewer.note(LinkMeter(0).close_window(1, Decoder().counts()))
-            assert s.viewer.status() == {
-                "state": "off", "sent": 0, "dropped": 0, "restarts": 0, "urls": [],
-                "viewers": 0, "behind_s": 0.0,
-            }  # fmt: skip
-            assert psutil.Process().children() == before
-
-    asyncio.run(stream())
+    async with session(ViewerMode.OFF) as s:
+        s.viewer.samples(wobble(10))
+        s.viewer.note(LinkMeter(0).close_window(1, Decoder().counts()))
+        assert s.viewer.status() == {
+            "state": "off", "sent": 0, "dropped": 0, "restarts": 0, "urls": [],
+            "viewers": 0, "behind_s": 0.0,
+        }  # fmt: skip
+        assert psutil.Process().children() == before
 
 
 def test_the_daemons_process_never_loads_rerun():

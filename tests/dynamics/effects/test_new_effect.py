@@ -125,7 +125,7 @@ OF_OTHER_STAGES = """
 from groundstation.dynamics import effects
 effects.__path__.append({folder!r})
 from groundstation.dynamics.registry import DELAY, EFFECTS
-from groundstation.identification.body.setup import FIT_WITH
+from groundstation.identification.body_setup import FIT_WITH
 from groundstation.identification.motor.fit import EFFECTS as FITTED
 assert {{"another_delay", "another_loss"}} <= set(EFFECTS)
 print(DELAY, *FITTED)

@@ -60,15 +60,13 @@ def test_a_simulated_step_is_what_the_accelerations_say(name, seed):
     craft = craft_of_model(drawn(name, seed))
     voltage = np.array([[2300.0, 2100.0, 2500.0, 2400.0]])
     for state in states(2):
-        after = simulate(craft, state, voltage, period_s=SHORT_S, supply_mv=np.full(1, SUPPLY_MV))[
-            1
-        ]
+        supply = np.full(1, SUPPLY_MV)
+        after = simulate(craft, state, voltage, period_s=SHORT_S, supply_mv=supply)[1]
         slope = (after[ROTOR] - state[ROTOR]) / SHORT_S
         expected = accelerations(craft, state, slope)
         gained = (after[RATE] - state[RATE]) / SHORT_S
         np.testing.assert_allclose(gained, expected[:3], rtol=2e-3, atol=2e-3)
-        turn = simulate(craft, state, voltage, period_s=SHORT_S, supply_mv=np.full(1, SUPPLY_MV))
-        fall = (turn[1, VELOCITY] - state[VELOCITY]) / SHORT_S + [0.0, 0.0, 9.80665]
+        fall = (after[VELOCITY] - state[VELOCITY]) / SHORT_S + [0.0, 0.0, 9.80665]
         assert np.linalg.norm(fall) == pytest.approx(np.linalg.norm(expected[3:]), rel=2e-3)
 
 
@@ -80,15 +78,9 @@ def test_the_predictor_flies_the_same_accelerations(name, seed):
     duty = np.tile([0.6, 0.62, 0.58, 0.61], (rows, 1))
     duty[1:] += [0.03, -0.02, 0.01, 0.02]
     zeros = np.zeros((rows, 3))
-    run = SimpleNamespace(
-        period_s=2e-4,
-        duty=duty,
-        settings=duty,
-        supply_v=np.full(rows, 3.7),
-        gyro=zeros,
-        accelerometer=zeros,
-        attitude=zeros,
-    )
+    felt = dict.fromkeys(("gyro", "accelerometer", "attitude"), zeros)
+    volts = np.full(rows, 3.7)
+    run = SimpleNamespace(period_s=2e-4, duty=duty, settings=duty, supply_v=volts, **felt)
     seen = observe_run(model, run, height_m=np.full(rows, np.nan))
     drive = drive_run(model, run)
     (state,) = states(1)

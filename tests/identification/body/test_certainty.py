@@ -5,10 +5,10 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
-from groundstation.identification.body.fit import fit_body
-from groundstation.identification.body.setup import blurred, certain, set_up
-from groundstation.identification.division import stretches_of
-from groundstation.identification.likelihood.spectra import fit_free
+from groundstation.identification.body import fit_body
+from groundstation.identification.body_setup import blurred, certain, set_up
+from groundstation.identification.flight import stretches_of
+from groundstation.identification.likelihood.problem import fit_free
 from groundstation.identification.runs import runs_of
 from support.flights import recorded, truth_of
 

@@ -1,9 +1,15 @@
-"""What past errors foretell: a torque that lasts, noise of the starting row, and nothing else."""
+"""What past errors foretell, and knocks that no fit uses are named."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from groundstation.identification.body.workflow import foretold, learnt
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.identification.body import foretold, knocks, learnt
+from groundstation.identification.flight import stretches_of
+from groundstation.identification.runs import runs_of
+from groundstation.recording.formats import open_recording
 
 PERIOD_S, ROWS, SECONDS = 0.002, 25, 30.0
 SIZE = round(SECONDS / PERIOD_S)
@@ -53,3 +59,21 @@ def test_no_row_of_the_future_counts():
     one, other = (foretold(series, ROWS, PERIOD_S, before) for series in (errors, changed))
     np.testing.assert_array_equal(one[: row + 1], other[: row + 1])
     assert np.abs(one[row + 50 :] - other[row + 50 :]).max() > 1.0
+
+
+RECORDINGS = Path(__file__).parents[3] / "recordings"
+
+
+def of(name):
+    runs = runs_of(open_recording(RECORDINGS / f"nanobench_{name}.mcap").samples, name)
+    return stretches_of(runs, BUILT_IN["crazyflie21"].motor)
+
+
+def test_the_landing_of_a_real_flight_is_named_and_not_fitted():
+    assert knocks(of("figure8")) == [
+        "figure8: a knock of 7.2 g at 23.0 s, a landing or a collision, is not fitted"
+    ]
+
+
+def test_a_soft_landing_is_no_knock():
+    assert knocks(of("trefoil")) == []

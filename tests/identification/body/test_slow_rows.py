@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.body.fit import fit_body
-from groundstation.identification.body.setup import folds, settings_a_row, unseen_delay_s
-from groundstation.identification.division import quicker, stretches_of
+from groundstation.identification.body import fit_body
+from groundstation.identification.body_setup import folds, settings_a_row, unseen_delay_s
+from groundstation.identification.flight import quicker, stretches_of
 from groundstation.identification.runs import CHANNELS, runs_of
 from support.flights import recorded
 

@@ -12,9 +12,9 @@ from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.evaluation import ATTITUDE
+from groundstation.identification.likelihood.linear import linearise
 from groundstation.identification.likelihood.motion import TIMING, point_of
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.spectra import linearise
 from groundstation.identification.runs import flights_of
 from support.flights import recorded
 

@@ -25,17 +25,9 @@ def rows(seed=0):
 
     (height,), (thrust,) = some(1, 0.02, 0.1), some(1, 0.02, 0.2)
     quaternion = np.array(some(4, 1.0))
-    return Body(
-        height,
-        tuple(quaternion / np.linalg.norm(quaternion, axis=0)),
-        some(3, 1.0),
-        some(3, 2.0),
-        some(4, 20.0, 250.0),
-        some(4, 500.0),
-        thrust,
-        some(3, 10.0),
-        some(3, 2.0, 5.0),
-    )
+    turned = tuple(quaternion / np.linalg.norm(quaternion, axis=0))
+    moving = some(3, 1.0), some(3, 2.0), some(4, 20.0, 250.0), some(4, 500.0)
+    return Body(height, turned, *moving, thrust, some(3, 10.0), some(3, 2.0, 5.0))
 
 
 def row(given, place):
@@ -76,15 +68,8 @@ def fin(values, craft, body, state):
 
 def effect_of(law, **more):
     parameters = (Parameter("a", "", 2.0, 0.1, 9.0), Parameter("b", "s", 0.05, 0.0, 1.0))
-    return Effect(
-        law.__name__,
-        "body",
-        parameters,
-        *("", "", ""),
-        channels=("gyro z",),
-        law=law,
-        **more,
-    )
+    told = law.__name__, "body", parameters, "", "", ""
+    return Effect(*told, channels=("gyro z",), law=law, **more)
 
 
 def test_a_law_that_branches_is_run_row_by_row():

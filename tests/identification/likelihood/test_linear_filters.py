@@ -47,13 +47,11 @@ def integrated(near, part, given, first, period):
         begun = (row - 1) * period
         if row > 0:
             span = (begun, begun + period)
-            state = solve_ivp(
-                lambda t, s: near.a @ s + near.b[:, part] @ given(t),
-                span,
-                state,
-                rtol=1e-9,
-                atol=1e-11,
-            ).y[:, -1]
+
+            def slope(t, s):
+                return near.a @ s + near.b[:, part] @ given(t)
+
+            state = solve_ivp(slope, span, state, rtol=1e-9, atol=1e-11).y[:, -1]
         found.append(state)
     return np.array(found)
 

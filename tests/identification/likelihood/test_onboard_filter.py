@@ -11,7 +11,7 @@ from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.body import identify_body
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.motion import Frame, point_of
 from groundstation.identification.likelihood.problem import Problem, filters_of

@@ -1,7 +1,5 @@
 """The rotor speeds behind a flight, as every stage of identification takes them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import msgspec
@@ -12,7 +10,13 @@ from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model, wi
 from groundstation.dynamics.simulation import armature_mv, simulate_motor, steady_rev_s
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.motion import Frame, point_of, spin_rotors
+from groundstation.identification.likelihood.motion import (
+    Frame,
+    Inputs,
+    Rotors,
+    point_of,
+    spin_rotors,
+)
 from groundstation.identification.runs import Run, rotor_squares
 from groundstation.prediction.drive import drive_run
 
@@ -25,20 +29,11 @@ VEHICLE = BUILT_IN["crazyflie21"]
 @pytest.fixture(scope="module")
 def run():
     generator = np.random.default_rng(2)
-    missing = np.full((ROWS, 3), np.nan)
-    return Run(
-        "hover",
-        0.0,
-        0.002,
-        duty=0.6 + 0.05 * np.sin(np.arange(4) + np.arange(ROWS)[:, None] / 60.0),
-        supply_v=np.full(ROWS, 3.9),
-        gyro=generator.normal(0.0, 0.01, (ROWS, 3)),
-        accelerometer=missing,
-        attitude=missing,
-        rotor_rev_s=np.full((ROWS, 4), np.nan),
-        debug_s=np.zeros(ROWS),
-        duty_step=np.full((ROWS, 4), np.nan),
-    )
+    missing, none = np.full((ROWS, 3), np.nan), np.full((ROWS, 4), np.nan)
+    duty = 0.6 + 0.05 * np.sin(np.arange(4) + np.arange(ROWS)[:, None] / 60.0)
+    gyro, volts = generator.normal(0.0, 0.01, (ROWS, 3)), np.full(ROWS, 3.9)
+    channels = duty, volts, gyro, missing, missing, none, np.zeros(ROWS), none
+    return Run("hover", 0.0, 0.002, *channels)
 
 
 def turned(run, motors, effects):
@@ -109,3 +104,46 @@ def test_slow_rows_that_tell_two_settings_turn_rotors_as_fast_rows_do(run):
         true = behind(fast)[1::2][late]
         np.testing.assert_allclose(behind(told)[late], true, rtol=1e-6)
         assert np.abs(behind(untold)[late] / true - 1.0).min() > 0.01
+
+
+PERIOD_S, HZ = 2e-3, 9.0
+
+
+def speeds(late_s, rows=400):
+    """Of four rotors at rows that come ``late_s`` later: speed, mean square over the period before,
+    mean speed and its slope, by the calculus of a sine."""
+    t = PERIOD_S * np.arange(rows)[:, None] - late_s
+    w, turn = 2.0 * np.pi * HZ, np.array([0.0, 0.7, 1.9, 3.1])
+    end = 210.0 + 30.0 * np.sin(w * t + turn)
+
+    def integral(t):
+        angle = w * t + turn
+        square = 0.5 * 900.0 * (t - np.sin(2.0 * angle) / (2.0 * w))
+        return 210.0**2 * t - 2.0 * 210.0 * 30.0 * np.cos(angle) / w + square
+
+    square = (integral(t) - integral(t - PERIOD_S)) / PERIOD_S
+    before = 210.0 + 30.0 * np.sin(w * (t - PERIOD_S) + turn)
+    return end, square, 0.5 * (end + before), (end - before) / PERIOD_S
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.4e-3, 2e-3, 5.7e-3, -1.3e-3])
+def test_speeds_are_those_of_so_long_before(delay_s):
+    end, square, _, _ = speeds(0.0)
+    late = Inputs.of(Rotors(end, square), delay_s, PERIOD_S)
+    whole = slice(6, -3)
+    for found, true, error in zip(
+        (late.last, np.square(late.mean), late.rotor, late.slope),
+        speeds(delay_s),
+        (2e-3, 1.0, 2e-3, 1.5),
+        strict=True,
+    ):
+        assert np.allclose(np.transpose(found)[whole], true[whole], rtol=0.0, atol=error)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 5.7e-3, -1.3e-3])
+def test_speeds_that_do_not_change_are_the_same_from_the_first_row_to_the_last(delay_s):
+    still = np.full((30, 4), 180.0)
+    late = Inputs.of(Rotors(still, still**2), delay_s, PERIOD_S)
+    for rows in (late.mean, late.last, late.rotor):
+        assert np.allclose(rows, 180.0, rtol=1e-12)
+    assert np.allclose(late.slope, 0.0, atol=1e-9)

@@ -33,17 +33,10 @@ MODEL = msgspec.structs.replace(
 @pytest.fixture(scope="module")
 def slow():
     """Every second row of a noiseless flight that turns about every axis."""
-    samples, _ = recorded(
-        40.0,
-        seed=3,
-        craft="crazyflie21",
-        plant="reduced",
-        torque_noise=0.0,
-        sensor_noise=0.0,
-        program=str(PROGRAMME),
-        gains=GAINS,
-        effects={"rotor_acceleration_torque": {"rotor_inertia_kg_m2": INERTIA_KG_M2}},
-    )
+    effects = {"rotor_acceleration_torque": {"rotor_inertia_kg_m2": INERTIA_KG_M2}}
+    quiet = {"plant": "reduced", "torque_noise": 0.0, "sensor_noise": 0.0, "gains": GAINS}
+    flown = {"craft": "crazyflie21", "program": str(PROGRAMME), "effects": effects}
+    samples, _ = recorded(40.0, seed=3, **quiet, **flown)
     return every_second(samples)
 
 

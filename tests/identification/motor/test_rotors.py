@@ -1,7 +1,5 @@
 """Each rotor's motor from flights, against motors that are known."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

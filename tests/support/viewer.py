@@ -1,4 +1,5 @@
-"""Pictures of a recording as the viewer shows it, without a window: for tests and the pages.
+"""What an .rrd file holds, and pictures of one as the viewer shows it, without a window: for tests
+and the pages.
 
 Draws with a real rerun viewer, by a GPU if there is one and else by Mesa's software Vulkan
 driver (Debian: mesa-vulkan-drivers, libvulkan1).
@@ -10,15 +11,42 @@ import contextlib
 import os
 import socket
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from rerun.chunk import RrdReader
+
 from groundstation.errors import GroundStationError
-from groundstation.rerun_log.channels import DEVICE_TIME
-from groundstation.rerun_log.installed import rerun_program
+from groundstation.rerun_log.channels import DEVICE_TIME, rerun_program
 from groundstation.viewer.child import Child, free_port
+
+SCALARS = "Scalars:scalars"
+TEXT = "TextLog:text"
+
+
+def column(path: Path, component: str) -> dict[str, np.ndarray]:
+    """Entity -> the values (n, k) of a component in the order of ``device_time``."""
+    found: dict[str, list[tuple[int, np.ndarray]]] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a live view that is being saved has no footer yet
+        reader = RrdReader(path)
+    for chunk in reader.stream() if reader.recordings() else ():
+        batch = chunk.to_record_batch()
+        if component in batch.schema.names and batch.num_rows:
+            values = batch[component].flatten().to_numpy(zero_copy_only=False)
+            begins = batch["device_time"][0].value
+            entity = chunk.entity_path.replace("\\", "")
+            found.setdefault(entity, []).append((begins, values.reshape(batch.num_rows, -1)))
+    in_order = {entity: sorted(parts, key=lambda part: part[0]) for entity, parts in found.items()}
+    return {
+        entity: np.concatenate([values for _, values in parts])
+        for entity, parts in in_order.items()
+    }
+
 
 START_S = 60.0
 PAINT_S = 30.0

@@ -5,9 +5,10 @@ import asyncio
 import pytest
 
 from groundstation.service import station as supervisor_module
-from groundstation.service.config import Config, RateLimit, RecordingConfig
-from groundstation.service.station import Station, Supervisor
+from groundstation.service.config import RateLimit
+from groundstation.service.station import TaskSupervisor
 from support.waiting import eventually
+from support.worlds import running, station_on
 
 
 @pytest.fixture(autouse=True)
@@ -19,7 +20,7 @@ def run(conversation):
     told = []
 
     async def session():
-        supervisor = Supervisor(lambda text, name: told.append((name, text)))
+        supervisor = TaskSupervisor(lambda text, name: told.append((name, text)))
         try:
             async with asyncio.timeout(20):
                 await conversation(supervisor)
@@ -78,20 +79,13 @@ def test_an_adopted_task_that_fails_is_told_and_counts_as_dead():
     assert "no more sockets" in text
 
 
-def test_what_nobody_catches_is_a_fault_of_the_station(tmp_path):
-    async def session():
-        station = Station(Config(recording=RecordingConfig(folder=str(tmp_path), enabled=False)))
-        running = asyncio.create_task(station.run())
+async def test_what_nobody_catches_is_a_fault_of_the_station(tmp_path):
+    station = station_on("stand-in", tmp_path, enabled=False)
+    async with running(station), asyncio.timeout(20):
         await station.receiver.tried.wait()
         asyncio.get_running_loop().call_soon(lambda: 1 // 0)
-        async with asyncio.timeout(20):
-            while station.journal.faults == 0:
-                await asyncio.sleep(0.01)
-        station.stop()
-        await running
-        return station
-
-    station = asyncio.run(session())
+        while station.journal.faults == 0:
+            await asyncio.sleep(0.01)
     (fault,) = [event.text for event in station.journal.events if event.kind == "fault"]
     assert "ZeroDivisionError" in fault
 

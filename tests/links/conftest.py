@@ -1,0 +1,1 @@
+from support.coroutines import pytest_pyfunc_call as pytest_pyfunc_call
