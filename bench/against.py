@@ -1,8 +1,9 @@
 """``python -m bench.against CHECKOUT``: the quick figures of this program beside an older one's.
 
 Both run in turn (A B A B ...), each in a process of its own with this environment's libraries: what
-else the machine does falls on both. Figures are medians; a first pair, which compiles, does not
-count. To get the older one: ``git worktree add ../older COMMIT``.
+else the machine does falls on both. Each is measured by its own ``quick``. Figures are medians of
+what both have by the same name; a first pair, which compiles, does not count. To get the older one:
+``git worktree add ../older COMMIT``.
 """
 
 from __future__ import annotations
@@ -34,20 +35,21 @@ def main() -> int:
         (_figures(HERE), _figures(options.checkout.resolve())) for _ in range(options.pairs + 1)
     ][1:]
     print(header())
-    for number, (what, _, unit) in enumerate(pairs[0][0]):
-        here, there = (statistics.median(p[side][number][1] for p in pairs) for side in (0, 1))
-        print(Row(f"{what} (there)", here, there, unit).line())
+    for what, (_, unit) in pairs[0][0].items():
+        if what in pairs[0][1]:
+            here, there = (statistics.median(p[side][what][0] for p in pairs) for side in (0, 1))
+            print(Row(f"{what} (there)", here, there, unit).line())
     return 0
 
 
-def _figures(where: Path) -> list[tuple[str, float, str]]:
-    """What ``quick`` measures of the program in a folder: name, figure, unit."""
+def _figures(where: Path) -> dict[str, tuple[float, str]]:
+    """What the ``quick`` of a folder measures of the program there: by name, figure and unit."""
     environment = {**os.environ, "PYTHONPATH": str(where), "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", FIGURES, HERE / "bench" / "quick.py"],
+        [sys.executable, "-c", FIGURES, where / "bench" / "quick.py"],
         env=environment, cwd=where, stdout=subprocess.PIPE, text=True, check=True,
     )  # fmt: skip
-    return [tuple(row) for row in json.loads(done.stdout)]
+    return {what: (figure, unit) for what, figure, unit in json.loads(done.stdout)}
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import multiprocessing
 import os
 import socket as sockets
 import subprocess
@@ -94,6 +95,24 @@ def page_address(control: Path) -> str:
     """Of the page, once it is served."""
     until_status(control, lambda status: status["page"]["state"] == "serving")
     return str(ask(control, "POST", "/page/address")["url"])
+
+
+@contextlib.contextmanager
+def busy(processes: int) -> Iterator[None]:
+    """So many processes that spin meanwhile."""
+    spinning = [multiprocessing.Process(target=_spin, daemon=True) for _ in range(processes)]
+    for one in spinning:
+        one.start()
+    try:
+        yield
+    finally:
+        for one in spinning:
+            one.terminate()
+
+
+def _spin() -> None:
+    while True:
+        pass
 
 
 def _measure(socket: Path) -> tuple[float, float, float, float]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from bench.learn import COMMAND
 from bench.results import Line, rows, run_cases
-from firmware_sim.present import present_effects
+from firmware_sim.physics import present_effects
 from firmware_sim.releases import PROTOCOLS_OF
 from firmware_sim.settings import parse_settings
 from groundstation.control.step_analysis import Flown

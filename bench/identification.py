@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from bench.table import Row
 from firmware_sim.craft import StandIn, StandInSettings
-from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
-from groundstation.identification.body.fit import fit_body
-from groundstation.identification.division import stretches_of
+from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
+from groundstation.identification.body import fit_body
+from groundstation.identification.flight import stretches_of
 from groundstation.identification.motor.fit import bench_run, fit_motor
 from groundstation.identification.motor.workflow import undo_supply
 from groundstation.identification.runs import Run, runs_of
@@ -40,24 +40,16 @@ def rows() -> Iterator[Row]:
 def _motor_accuracy() -> Iterator[Row]:
     errors, inside = [], []
     for seed in range(SEEDS):
-        (run,) = _recorded(13.5, program="motor_bench", plant="reduced", supply_v=3.7, seed=seed)
-        fit = fit_motor([bench_run(run[2500:6500])])
+        fit = _bench_fit(seed)
         interval = fit.estimates.interval()[:3]
         errors.append(fit.estimates.values[:3] / MOTOR_TRUE - 1)
         inside.append((interval[:, 0] <= MOTOR_TRUE) & (interval[:, 1] >= MOTOR_TRUE))
     worst = 100 * np.abs(errors).max(axis=0)
     covered = np.mean(inside, axis=0)
+    label = f"motor bench, {SEEDS} seeds"
     for i, name in enumerate(("a0", "a1", "a2")):
-        yield Row(
-            f"motor bench, {SEEDS} seeds: worst error of {name}", worst[i], None, "%", most=2.0
-        )
-        yield Row(
-            f"motor bench, {SEEDS} seeds: {name} inside its 95 %",
-            covered[i],
-            None,
-            "share",
-            least=0.9,
-        )
+        yield Row(f"{label}: worst error of {name}", worst[i], None, "%", most=2.0)
+        yield Row(f"{label}: {name} inside its 95 %", covered[i], None, "share", least=0.9)
 
 
 CONSTANTS = ("c0", "c1", "c2", "thrust_per_mass")
@@ -78,7 +70,8 @@ def _body_accuracy() -> Iterator[Row]:
         for seed in range(SEEDS):
             motor, covariance = THESIS_MOTOR, None
             if "bench" in label:
-                motor, covariance = _bench_motor(seed)
+                fitted = _bench_fit(seed)
+                motor, covariance = fitted.motor, fitted.estimates.covariance[:3, :3]
             craft = StandIn(
                 msgspec.convert({"plant": plant, "seed": seed, "truth": True}, StandInSettings)
             )
@@ -101,27 +94,20 @@ def _body_accuracy() -> Iterator[Row]:
 
 def _accuracy_rows(label: str, errors: Any, inside: Any, covered: bool) -> Iterator[Row]:
     for i, name in enumerate(CONSTANTS):
-        values = np.array(errors)[:, i]
-        yield Row(
-            f"{label}: worst error of {name}", 100 * np.abs(values).max(), None, "%", most=3.0
-        )
+        values, within = np.array(errors)[:, i], np.mean(inside, 0)[i]
+        worst = 100 * np.abs(values).max()
+        yield Row(f"{label}: worst error of {name}", worst, None, "%", most=3.0)
         limit = 0.5 if covered else None
         yield Row(f"{label}: mean error of {name}", 100 * abs(values.mean()), None, "%", limit)
         if covered:
-            yield Row(
-                f"{label}: {name} inside its 95 %", np.mean(inside, 0)[i], None, "share", least=0.9
-            )
+            yield Row(f"{label}: {name} inside its 95 %", within, None, "share", least=0.9)
 
 
-def _bench_motor(seed: int) -> tuple[MotorConstants, Array]:
-    """A motor and its covariance from 8 s on a bench with a stiff supply."""
-    (run,) = _recorded(13.5, program="motor_bench", plant="reduced", supply_v=3.7, seed=seed)
-    fit = fit_motor([bench_run(run[2500:6500])])
-    return fit.motor, fit.estimates.covariance[:3, :3]
-
-
-def _recorded(seconds: float, **settings: Any) -> list[Run]:
-    return _decoded(StandIn(StandInSettings(**settings)).advance(seconds))
+def _bench_fit(seed: int) -> Any:
+    """Of a motor, from 8 s on a bench with a stiff supply."""
+    bench = StandInSettings(program="motor_bench", plant="reduced", supply_v=3.7, seed=seed)
+    (run,) = _decoded(StandIn(bench).advance(13.5))
+    return fit_motor([bench_run(run[2500:6500])])
 
 
 def _decoded(heard: tuple[NDArray[np.uint8], Array]) -> list[Run]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from groundstation.cli.learn_flights import SOFTWARE, Place
+from groundstation.cli.learn import FastPlace
 from groundstation.dynamics.model import load_model
 from groundstation.learn.planning import (
     BODY,
@@ -42,7 +42,9 @@ def main() -> int:
     ratios = []
     for folder in parser.parse_args().folders:
         model = load_model(folder / BODY_MODEL)
-        place = Place(f"{SOFTWARE}{folder / 'craft.toml'}", 0.5, model=str(folder / BODY_MODEL))
+        place = FastPlace(
+            str(folder / "craft.toml"), limits.height_m, limits.reach_m, str(folder / BODY_MODEL)
+        )
         told = rehearsed(place, model, limits, seed=1)
         begun = (*HOVER, *BODY)
         designed = [one.name for one in choose(told, seconds, DESIGNED_S, flown=begun)]

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.daemon import run_daemon, until_status
+from bench.daemon import busy, run_daemon, until_status
 from bench.results import Line, rows, run_cases
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
@@ -58,7 +58,7 @@ def main() -> int:
         return 0
     crafts = ("crazyflie21", "brushless")
     cases = [f"{crafts[n % 2]}-{options.seed + n // 2}" for n in range(options.crafts)]
-    with _busy(options.busy):
+    with busy(options.busy * (os.cpu_count() or 1)):
         lines = run_cases(
             cases,
             options.results,
@@ -132,7 +132,7 @@ def fly_case(case: str, flights: Sequence[str]) -> None:
 
 def _one(flight: str, seed: int, folder: Path, control: Path, truth: Connection) -> dict[str, Any]:
     from groundstation.cli.flying import stops_begun
-    from groundstation.cli.learn_flights import DaemonPlace
+    from groundstation.cli.learn import DaemonPlace
 
     try:
         until_status(control, _connected)  # a busy machine may lose it between two flights
@@ -201,7 +201,7 @@ def _flown(settings: dict[str, Any]) -> Iterator[tuple[str, Connection]]:
 
 def _serve(settings: dict[str, Any], truth: Connection) -> None:
     from firmware_sim.craft import StandIn
-    from firmware_sim.crtp_server import CrtpServer
+    from firmware_sim.crtp import CrtpServer
     from firmware_sim.settings import StandInSettings
 
     async def serve() -> None:
@@ -314,25 +314,6 @@ def _cells(line: Line) -> list[str]:
         "; ".join(f"{name}: {one['aborted']}" for name, one in line["flights"].items()
                   if one["aborted"]),
     ]  # fmt: skip
-
-
-@contextlib.contextmanager
-def _busy(a_core: int) -> Iterator[None]:
-    """So many processes a core that spin meanwhile."""
-    spinning = [multiprocessing.Process(target=_spin, daemon=True)
-                for _ in range(a_core * (os.cpu_count() or 1))]  # fmt: skip
-    for one in spinning:
-        one.start()
-    try:
-        yield
-    finally:
-        for one in spinning:
-            one.terminate()
-
-
-def _spin() -> None:
-    while True:
-        pass
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from bench.daemon import page_address, run_daemon, until_status
+from bench.daemon import busy, page_address, run_daemon, until_status
 from bench.table import Row
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
@@ -56,8 +56,8 @@ def rows() -> Iterator[Row]:
         every = [load for _, load_of, _ in loads for load in load_of]
         loads.append(("all of them, and both cores busy", every, True))
         for what, work, silent in loads:
-            busy = os.cpu_count() if len(work) > 1 else 0
-            with _under(work, silent, busy or 0):
+            spinning = (os.cpu_count() or 0) if len(work) > 1 else 0
+            with busy(spinning), _under(work, silent):
                 time.sleep(SETTLE_S)
                 # a browser is a process of its own: it does not wait for what loads the page
                 with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pressing:
@@ -119,7 +119,7 @@ def _events(control: Path) -> list[dict]:
 
 
 @contextlib.contextmanager
-def _under(work: list[Callable[[int], None]], silent: bool, busy: int) -> Iterator[None]:
+def _under(work: list[Callable[[int], None]], silent: bool) -> Iterator[None]:
     ended = threading.Event()
 
     def keep(load: Callable[[int], None], number: int) -> None:
@@ -131,18 +131,15 @@ def _under(work: list[Callable[[int], None]], silent: bool, busy: int) -> Iterat
         for load in work
         for number in range(FLOOD)
     ]
-    spinning = [multiprocessing.Process(target=_spin, daemon=True) for _ in range(busy)]
     sitting: list[socket.socket] = []
     if silent:
         threads.append(threading.Thread(target=_sit, args=(sitting, ended), daemon=True))
-    for one in (*threads, *spinning):
+    for one in threads:
         one.start()
     try:
         yield
     finally:
         ended.set()
-        for process in spinning:
-            process.terminate()
         for one in threads:
             one.join(PATIENCE_S)
         for connection in sitting:
@@ -156,8 +153,3 @@ def _sit(sitting: list[socket.socket], ended: threading.Event) -> None:
             sitting.pop(0).close()
         with contextlib.suppress(OSError):
             sitting.append(socket.create_connection(("127.0.0.1", PAGE_PORT), 5.0))
-
-
-def _spin() -> None:
-    while True:
-        pass

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from bench.sealed.hidden import UNBOUNDED
 from bench.sealed.signals import DT, Array, Columns, G, Signals, base_signals, effect_signals
-from firmware_sim.physics import parameters
-from firmware_sim.present import present_effects
+from firmware_sim.physics import parameters, present_effects
 from firmware_sim.settings import StandInSettings
 
 VERTICAL_M_S2 = 2e-3

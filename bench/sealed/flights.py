@@ -25,8 +25,7 @@ from bench.sealed.radio_log import logged
 from firmware_sim.contents import TODAY
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.catalogue import draw
-from firmware_sim.physics import parameters
-from firmware_sim.present import present_effects
+from firmware_sim.physics import parameters, present_effects
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.recording.mcap_file import RecordingFile, session_metadata
 from groundstation.telemetry.decoder import decode_all
