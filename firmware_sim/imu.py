@@ -219,7 +219,10 @@ def _sample_attitude(
     roll = math.atan2(r32, r33)
     pitch = math.asin(min(max(r31, -1.0), 1.0))  # nose up positive
     if p.aided_strength > 0.0:
-        forward, left = tilt_taken(p, s, 1e-9 * p.sensor_period_ns)
+        ahead, aside, up = s.force[0], s.force[1], s.force[2]
+        if p.rotated != 0:
+            ahead, aside, up = _into_sensor(p.mounting, ahead, aside, up)
+        forward, left = tilt_taken(p, s, ahead, aside, 1e-9 * p.sensor_period_ns)
         roll -= left
         pitch -= forward
     yaw = math.atan2(r21, r11)

@@ -1,6 +1,7 @@
 """An estimator that is told how fast it moves, and takes every push for a tilt.
 
-It reckons its velocity from the force along the rotors' axis. What else pushes the craft shows as a
+It reckons its velocity from the force along its sensor's axis, which it takes for the rotors'. What
+else pushes the craft, thrust across the axis of a turned sensor included, shows as a
 difference from the velocity that it is told, and is answered by tilting the estimate until the two
 agree: a regulator with two equal poles.
 """
@@ -19,10 +20,10 @@ second."""
 
 
 @inner
-def tilt_taken(p: Record, s: Record, seconds: float) -> Any:
-    """Tilt (rad) that the pushes forward and to the left have been taken for, ``seconds`` on."""
-    _answer(p, s, 0, s.force[0], seconds)
-    _answer(p, s, 2, s.force[1], seconds)
+def tilt_taken(p: Record, s: Record, forward: float, left: float, seconds: float) -> Any:
+    """Tilt (rad) that pushes along the sensor's axes (m/s^2) are taken for, ``seconds`` on."""
+    _answer(p, s, 0, forward, seconds)
+    _answer(p, s, 2, left, seconds)
     return s.aided[0], s.aided[2]
 
 

@@ -487,7 +487,8 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         search.now = Fit(point, keys, np.inf, np.zeros((len(keys),) * 2))
         return
     search.progress("fitting what is beyond doubt", 0.2)
-    search.now = search.problem.fit(point, keys)
+    nothing = plain.point | {key: absent(key) for one in sure for key in one.variant.keys}
+    search.now = search.problem.fit(search.problem.better(point, nothing, keys), keys)
     variants = [one.variant for one in sure]
     search.progress("asking each beside the others", -1.0)
     rough = False
@@ -523,10 +524,10 @@ def _join_first(search: SearchState, shortlist: Sequence[Scored], before: Fit) -
         variant, keys = one.variant, (*search.now.keys, *one.variant.keys)
         search.progress(f"fitting {variant.effect}", -1.0)
         start = started(search.now.point, one, search.shapes)
-        fit = search.problem.fit(start, keys, settled=ROUGHLY)
+        fit = search.problem.fit(start, keys, settled=ROUGHLY, rough=True)
         if fit.cost > before.cost:  # than where it is absent: from there
             point = before.point | {k: search.shapes.get(k, absent(k)) for k in variant.keys}
-            fit = search.problem.fit(point, fit.keys, settled=ROUGHLY)
+            fit = search.problem.fit(point, fit.keys, settled=ROUGHLY, rough=True)
         gain = before.cost - fit.cost - PENALTY * len(variant.keys)
         trials.append((gain, variant, fit))
     for _, variant, fit in sorted(trials, key=lambda trial: -trial[0]):

@@ -616,13 +616,13 @@ def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep:
     each = count // len(run)
     read = slice(each - 1, None, each)
     load = (settings**2).sum(axis=1) * reported
-    pieces, slow = max(2, round(len(run) * run.period_s / KNOT_S)), keep ** (1.0 / each)
-    hats = _hats(count, pieces, slow)
+    first, slow = each * min(flight.first, len(run) // 4), keep ** (1.0 / each)
+    pieces = max(2, round((count - first) / each * run.period_s / KNOT_S))
+    hats = _hats(first, count, pieces, slow)
     fast = np.column_stack([-load, back])
     late = np.empty_like(fast)
     first_order(fast, slow, late)
     plain, lagged = (np.column_stack(both) for both in zip(hats, (fast, late), strict=True))
-    first = each * min(flight.first, len(run) // 4)
     used, told = lagged[first:][read], reported[first:][read]
     normal = used.T @ used
     scale = np.sqrt(np.diag(normal)) + 1e-12
@@ -632,13 +632,15 @@ def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep:
 
 
 @lru_cache(maxsize=2)
-def _hats(count: int, pieces: int, keep: float) -> tuple[Array, Array]:
-    """Shares (count, pieces + 1) of knots in each row of straight pieces, and the same lagged: of
-    the flight that is evaluated, whose motors are simulated for every column of theirs."""
+def _hats(first: int, count: int, pieces: int, keep: float) -> tuple[Array, Array]:
+    """Shares (count, pieces + 1) of knots in each row of straight pieces that begin at row
+    ``first``, and the same lagged: of the flight that is evaluated, whose motors are simulated for
+    every column of theirs. A knot of earlier rows would hardly be in the rows that are fitted: its
+    height was a hundred million volts."""
     from groundstation.identification.likelihood.kernels import first_order
 
-    knots = np.linspace(0, count - 1, pieces + 1)
-    hats = np.maximum(0.0, 1.0 - np.abs(np.arange(count)[:, None] - knots) / (knots[1] - knots[0]))
+    knots, rows = np.linspace(first, count - 1, pieces + 1), np.maximum(np.arange(count), first)
+    hats = np.maximum(0.0, 1.0 - np.abs(rows[:, None] - knots) / (knots[1] - knots[0]))
     lagged = np.empty_like(hats)
     first_order(hats, keep, lagged)
     return hats, lagged

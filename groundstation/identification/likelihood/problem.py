@@ -661,18 +661,25 @@ class Problem:
         return Quadratic(normal, gradient, cost)
 
     def fit(
-        self, point: Point, keys: Sequence[str], steps: int = STEPS, settled: float = SETTLED
+        self,
+        point: Point,
+        keys: Sequence[str],
+        steps: int = STEPS,
+        settled: float = SETTLED,
+        rough: bool = False,
     ) -> Fit:
         """Gauss-Newton over ``keys`` with the noise as it is, each step with the curvature that the
         last one met, shortening those that do not help; never worse than where it starts, which is
         within the bounds.
 
-        settled: drop of -2 log L that is not worth another step.
+        settled: drop of -2 log L that is not worth another step. rough: with the columns of the
+        start throughout, which take most of the time.
         """
         keys = tuple(keys)
         unknowns, free = self.frame.unknowns, np.ones(len(keys), np.bool_)
         point = bounded(point, keys, np.zeros(len(keys)), unknowns)
-        now = self._whole(point, keys)
+        columns = self._again(point, keys)
+        now = self._whole(columns, keys)
         normal = now.normal
         for _ in range(steps):
             at = np.array([value(point, key) for key in keys])
@@ -698,7 +705,8 @@ class Problem:
                 share *= 0.3
             if expected < settled or not cost < now.value:
                 break
-            better = self._whole(moved, keys)
+            columns = self._beside(columns, moved) if rough else self._again(moved, keys)
+            better = self._whole(columns, keys)
             gained = now.value - better.value
             normal = as_met(better.normal, step, now.gradient - better.gradient)
             point, now = moved, better
@@ -706,15 +714,19 @@ class Problem:
                 break
         return Fit(dict(point), keys, now.value, inverse(now.normal))
 
+    def better(self, one: Point, other: Point, keys: Sequence[str]) -> Point:
+        """Of two points the one from which a joint fit of ``keys`` has the shorter way."""
+        return min(one, other, key=lambda point: self._cost(point, tuple(keys)))
+
     def _cost(self, point: Point, keys: tuple[str, ...]) -> float:
         """-2 log L at a point."""
         found = self.with_prior(self.linear(point, (), self.flights)).value
         return found + sum(weight * apart**2 for _, weight, apart in self._agreeing(point, keys))
 
-    def _whole(self, point: Point, keys: tuple[str, ...]) -> Quadratic:
+    def _whole(self, linear: Linear, keys: tuple[str, ...]) -> Quadratic:
         """-2 log L around a point, with one value for what two effects among ``keys`` share."""
-        found = self.with_prior(self._again(point, keys))
-        for at, weight, apart in self._agreeing(point, keys):
+        found = self.with_prior(linear)
+        for at, weight, apart in self._agreeing(linear.point, keys):
             found.normal[np.ix_(at, at)] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
             found.gradient[at] -= weight * apart * np.array([1.0, -1.0])
             found = replace(found, value=found.value + weight * apart**2)
@@ -729,6 +741,19 @@ class Problem:
                 weight = (SHARED * self.frame.unknowns[key].worth) ** -2
                 apart = value(point, key) - value(point, other)
                 yield [keys.index(key), keys.index(other)], weight, apart
+
+    def _beside(self, columns: Linear, point: Point) -> Linear:
+        """What flights leave at a point, beside columns of another."""
+        left = self.linear(point, (), self.flights)
+        spectra = [
+            replace(own, residual=s.residual)
+            for own, s in zip(columns.spectra, left.spectra, strict=True)
+        ]
+        verticals = [
+            replace(own, residual=row.residual)
+            for own, row in zip(columns.verticals, left.verticals, strict=True)
+        ]
+        return Linear(left.point, columns.keys, spectra, verticals)
 
     def _again(self, point: Point, keys: tuple[str, ...]) -> Linear:
         """``linear`` with the columns of a0, a1, a2 from the last screening.

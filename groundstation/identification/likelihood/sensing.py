@@ -313,12 +313,16 @@ class Sensors:
         return np.asarray(found)
 
     def lean(self, force: Array, first: int, period_s: float) -> Array | None:
-        """How far reported roll, pitch and yaw (n, 3) are off by a measured specific force (n, 3),
-        rad; None: not at all. first: the row at which that has settled."""
+        """How far reported roll, pitch and yaw (n, 3) are off by a specific force (n, 3) in body
+        axes, rad; None: not at all. first: the row at which that has settled.
+
+        An estimator knows the sensor's axes alone: of thrust along another axis than the sensor's
+        it takes the part across for a push.
+        """
         found = None
         for one in self.estimators:
             near = _estimator_near_rest(one, self.craft)
-            more = behind_sensor(near, FORCES, force, first, period_s)
+            more = behind_sensor(near, FORCES, force @ self.turn, first, period_s)
             more[:first] = 0.0
             found = more if found is None else found + more
         return found

@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.effect import FAR_M, Body, Reading
+from groundstation.dynamics.model import model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.motion import point_of
+from groundstation.identification.likelihood.evaluation import Evaluation
+from groundstation.identification.likelihood.motion import Frame, point_of
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.prediction.prediction import predict_ahead
 from groundstation.telemetry.packet import STANDARD_GRAVITY
@@ -70,6 +72,24 @@ def test_its_size_and_pace_are_fitted_to_a_flight(leaning):
         assert error < most
         assert fit.point[key] == pytest.approx(true, abs=3.0 * error)
     assert fit.point["rotor_drag.drag_n_s_m"] == pytest.approx(0.012, rel=0.03)
+
+
+def test_of_a_turned_sensor_thrust_across_its_axis_is_taken_for_a_push():
+    """So on the mean a strength of 1 makes the angles the craft's own, not those of the sensor."""
+    hidden = {**HIDDEN, "imu_misalignment": {"roll_deg": 4.0, "pitch_deg": -3.0, "yaw_deg": 0.0}}
+    run, truth = flown(20.0, 6, effects=hidden)
+    craft = attitude_of_quaternion(truth["quaternion"])
+    terms = [affected(name, values).effects[0] for name, values in hidden.items()]
+    model = msgspec.structs.replace(BASE, effects=tuple(terms))
+    (flight,) = prepare([run])
+    off = Evaluation(flight, Frame(model_vehicle(model)), point_of(model)).felt.off[flight.rows]
+    angles = (run.attitude - craft[: len(run)])[flight.rows, :2]
+    left = 1.0 - HIDDEN["position_aided_lean"]["strength"]
+    np.testing.assert_allclose(
+        np.degrees(angles.mean(axis=0)), left * np.array((4.0, -3.0)), atol=0.1
+    )
+    sensor = np.degrees((angles - off[:, :2]).mean(axis=0))
+    np.testing.assert_allclose(sensor, (4.0, -3.0), atol=0.1)
 
 
 def test_angles_are_foretold_from_where_the_estimator_has_them(leaning):

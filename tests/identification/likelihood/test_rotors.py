@@ -147,3 +147,25 @@ def test_speeds_that_do_not_change_are_the_same_from_the_first_row_to_the_last(d
     for rows in (late.mean, late.last, late.rotor):
         assert np.allclose(rows, 180.0, rtol=1e-12)
     assert np.allclose(late.slope, 0.0, atol=1e-9)
+
+
+def test_a_report_that_lags_drives_the_rotors_of_a_late_flight_as_well():
+    """Knots of the cell's voltage before the rows that are fitted had heights of 10^8 volts."""
+    rows, period_s, lag_s = 9000, 0.01, 0.1
+    on = np.repeat([0.0, 1.0, 0.0, 1.0], (2000, 500, 4500, 2000))
+    duty = on[:, None] * (0.6 + 0.1 * np.sin(np.arange(4) + np.arange(rows)[:, None] / 20.0))
+    volts = 4.1 - 0.3 * (duty**2).mean(axis=1)
+    keep, reported = np.exp(-period_s / lag_s), volts.copy()
+    for i in range(1, rows):
+        reported[i] = keep * reported[i - 1] + (1.0 - keep) * volts[i]
+    missing, none = np.full((rows, 3), np.nan), np.full((rows, 4), np.nan)
+    gyro = np.random.default_rng(3).normal(0.0, 0.01, (rows, 3))
+    channels = duty, reported, gyro, missing, missing, none, np.zeros(rows), none
+    run = Run("hops", 0.0, period_s, *channels)
+    *_, flight = prepare([run])
+    assert flight.first > rows // 2
+    point = point_of(vehicle_model(VEHICLE)) | {"battery_reading_lag.time_constant_s": lag_s}
+    behind = spin_rotors(flight, point, Frame(VEHICLE)).end[flight.rows]
+    told = replace(flight, run=replace(run, supply_v=volts))
+    true = spin_rotors(told, point_of(vehicle_model(VEHICLE)), Frame(VEHICLE)).end[flight.rows]
+    np.testing.assert_allclose(behind, true, rtol=0.01)
