@@ -199,16 +199,22 @@ class SearchState:
         joined = (key for one in self.accepted for key in one.variant.keys)
         self.now = self.problem.fit(point, (*self.base_keys, *joined), steps)
 
-    def refit(self, accepted: Sequence[Evidence], held: set[str], sizes: Sequence[str] = ()) -> Fit:
+    def refit(
+        self,
+        accepted: Sequence[Evidence],
+        held: set[str],
+        sizes: Sequence[str] = (),
+        rough: bool = False,
+    ) -> Fit:
         """The joint fit of some effects, and of ``sizes`` from where they are absent, with the
-        constants ``held`` as they were given."""
+        constants ``held`` as they were given. rough: with the columns of where it begins."""
         # Without what explains a trim, none is too large: a constant would make room for it.
         self.problem.trim = self.trims.get(names_of(accepted), self.trim)
         keys = (*self.base_keys, *(key for one in accepted for key in one.variant.keys), *sizes)
         start = self.problem.start
         point = {key: self.now.point[key] for key in keys if key in self.now.point}
         point |= {key: start.get(key, absent(key)) for key in held} | self.fixed
-        return self.problem.fit(point, [key for key in keys if key not in held])
+        return self.problem.fit(point, [key for key in keys if key not in held], rough=rough)
 
     def weighed(self, fit: Fit, variants: Sequence[Variant]) -> list[Evidence]:
         """What speaks for each of these effects of a joint fit beside the others."""
@@ -255,6 +261,7 @@ def _take_back(search: SearchState, now: Predicted, trials: Sequence[Without]) -
         search.accepted.remove(option)
         search.refused[option.variant.label] = _refusal(now, left)
     search.now = fit
+    search.now = search.refit(search.accepted, search.held)
     return left
 
 
@@ -290,7 +297,7 @@ def _without(search: SearchState, judge: Judge, option: Evidence | Group) -> Wit
     search.progress("asking predictions of fitted samples", 0.93)
     rest = [one for one in search.accepted if one is not option]
     held = search.held.union(option) if isinstance(option, tuple) else search.held
-    fit = search.refit(rest, held)
+    fit = search.refit(rest, held, rough=True)
     return judge(fit.point), option, fit
 
 
@@ -378,10 +385,12 @@ def name_base_changes(search: SearchState) -> None:
         if key in search.held or key not in search.now.keys:
             continue
         held = search.held | {key}
-        after = search.refit(search.accepted, held, (own,))
+        after = search.refit(search.accepted, held, (own,), rough=True)
         (evidence,) = search.weighed(after, [variant])
         if refusal(WEIGHED, evidence) or refusal(NAMED, Last(variant, after)):
             continue
+        after = search.problem.fit(after.point, after.keys)
+        (evidence,) = search.weighed(after, [variant])
         apart = [one for one in search.accepted if not _shares(one.variant, variant)]
         if len(apart) < len(search.accepted):
             alone = search.refit(apart, held, (own,))
