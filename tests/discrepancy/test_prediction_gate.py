@@ -37,7 +37,7 @@ class Hunt:
         moved = {group[0] for group in self.groups} - (self.held if held is None else set(held))
         return {one.label for one in accepted} | moved
 
-    def refit(self, accepted, held):
+    def refit(self, accepted, held, rough=False):
         return SimpleNamespace(point=self.point_with(accepted, held))
 
 
