@@ -273,10 +273,10 @@ def held(pid: int) -> Iterator[None]:
 
 BY_OPERATOR = "the operator "
 """How the event of a Stop and of a Land begins; a client's own is none."""
-SINK_M_S, CLIMBING_M, CLIMBING_M_S = 0.8, 0.3, 1.0
+SINK_M_S, CLIMBING_M, CLIMBING_M_S = 0.8, 0.25, 1.0
 """A landing goes down with 0.3 m/s; falling from the height that is flown here ends at 2.4 m/s. One
 that begins in a take-off, before the second height, may end at the third speed: a Brushless climbs
-on to 0.25 m, and sinks from there with 0.88 m/s; falling, it is 2.2 m/s."""
+on to 0.2 m, and sinks from there with 0.85 m/s; falling, it is 2 m/s."""
 READS_S = 1.0
 """Python itself takes so long to start on a busy machine: until then a program was not begun."""
 DONE_BEFORE_S = 1.0
