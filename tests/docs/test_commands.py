@@ -397,7 +397,7 @@ def watch(words):
         _, error = process.communicate(timeout=PATIENCE_S)
     os.close(outer)
     assert (process.returncode, error) == (143, b"groundstation: terminated\n")
-    return said.decode()
+    return said.decode(errors="ignore")  # what was read may end within a character
 
 
 def make_run(folder):
