@@ -326,6 +326,9 @@ FLOOR_M = 0.02
 CLIMBS_M_S, NEAR_M = 0.1, 0.05
 """One that is as low and climbs has just left the floor: cut there, it would fall from 20 cm. One
 that is higher than the second and still moves is not down, whatever was asked for."""
+CLIMBS_ON_S = 1.0
+"""How long a craft that still climbs is asked for the height that it has, at most: asked for less,
+one that has just taken off meets the floor with 0.9 m/s, with this 0.5 m/s at most."""
 BELOW_M, STANDS_S, STILL_M = 0.25, 0.6, 0.02
 """A craft that is asked for so much less than its height, and for so long has not moved by more
 than this, stands on something."""
@@ -351,7 +354,7 @@ class Landing:
             measured_m is None or abs(height_m - measured_m) <= APART_M
         )
         self.over = ""
-        self._begun_s = now_s
+        self._asked_s = self._begun_s = now_s
         self._from_m = max(height_m if height_m is not None and is_there else known_m, 0.0)
         self._measured: deque[tuple[float, float]] = deque()
 
@@ -359,7 +362,7 @@ class Landing:
         """The height to ask for, m."""
         time_s, high_m = max(now_s - self._begun_s, 0.0), self._from_m
         slow_m = min(high_m, SLOW_M)
-        left_s = LONGEST_S - GROUND_S - slow_m / SINK_M_S
+        left_s = self._asked_s + LONGEST_S - self._begun_s - GROUND_S - slow_m / SINK_M_S
         fast_s = min(left_s, (high_m - slow_m) / SINK_M_S)
         if time_s < fast_s:
             return high_m - (high_m - slow_m) * time_s / fast_s
@@ -377,8 +380,10 @@ class Landing:
         measured_m: the craft's own height. turns_dps: its fastest rate about any axis. climb_m_s:
         upwards. None where it does not say.
         """
-        asked_m = self.asked_m(now_s)
         climbs = climb_m_s is not None and climb_m_s > CLIMBS_M_S
+        if climbs and measured_m is not None and now_s - self._asked_s < CLIMBS_ON_S:
+            self._begun_s, self._from_m = now_s, max(measured_m, 0.0)
+        asked_m = self.asked_m(now_s)
         self.over = self.over or self._ended(now_s, asked_m, measured_m, turns_dps, climbs)
         return None if self.over else asked_m
 
@@ -391,7 +396,6 @@ class Landing:
         climbs: bool,
     ) -> str:
         still = measured_m is not None and self._is_still(now_s, measured_m)
-        down_s = now_s - self._begun_s
         if measured_m is not None:
             if measured_m <= FLOOR_M and not climbs:
                 return "it is on the floor"
@@ -400,8 +404,9 @@ class Landing:
         if turns_dps is not None and turns_dps > MET_DPS and asked_m <= LOW_M:
             return "it has met the ground"
         sinks = measured_m is not None and measured_m > NEAR_M and not still
-        is_down = down_s >= GROUND_S and self.asked_m(now_s - GROUND_S) <= 0.0 and not sinks
-        return "its time is up" if is_down or down_s >= LONGEST_S else ""
+        sank = now_s - self._begun_s >= GROUND_S and self.asked_m(now_s - GROUND_S) <= 0.0
+        is_late = now_s - self._asked_s >= LONGEST_S
+        return "its time is up" if (sank and not sinks) or is_late else ""
 
     def _is_still(self, now_s: float, measured_m: float) -> bool:
         """Whether the height has not moved for ``STANDS_S``."""

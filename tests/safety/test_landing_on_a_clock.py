@@ -2,6 +2,7 @@
 the test turns."""
 
 import asyncio
+import contextlib
 
 import pytest
 
@@ -20,8 +21,8 @@ SOFT_M_S = 0.6
 class Highest(Flying):
     """It keeps the height and the sinking of its craft, in truth."""
 
-    def __init__(self, changes, deck):
-        super().__init__("crazyflie21", changes, deck)
+    def __init__(self, changes, deck, kind="crazyflie21"):
+        super().__init__(kind, changes, deck)
         self.fastest_m_s = self.highest_m = 0.0
         passes = self.one.pass_time
 
@@ -103,6 +104,22 @@ def test_a_lease_that_is_released_in_flight_ends_with_a_landing(flying):
     flying.commander.release(token)
     flying.until_down()
     assert flying.has_landed()
+
+
+@pytest.mark.parametrize("after_s", [0.15, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize("climb_m_s", [0.4, 100.0])
+def test_a_landing_that_begins_in_a_take_off_first_ends_the_climb(tmp_path, climb_m_s, after_s):
+    """A Brushless climbs on: with less asked for than it has it sinks with 0.8 to 1.1 m/s."""
+    flying = Highest(tmp_path / "changed.json", "flow_deck", "brushless")
+    with contextlib.closing(flying.world):
+        flying.looked(flying.commander.operator.arm(True))
+        token, begun_s = flying.lease(), flying.world.now_s
+        while (flown_s := flying.world.now_s - begun_s) < after_s:
+            flying.steer(token, 0.02, thrust=0, height_m=min(0.3, climb_m_s * flown_s))
+        flying.commander.release(token)
+        flying.until_down()
+        assert 0.1 < flying.highest_m < 1.1
+        assert flying.has_landed(), (flying.height_m, flying.fastest_m_s)
 
 
 def test_a_client_has_its_craft_landed_and_keeps_its_lease(flying):

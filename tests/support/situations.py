@@ -273,10 +273,8 @@ def held(pid: int) -> Iterator[None]:
 
 BY_OPERATOR = "the operator "
 """How the event of a Stop and of a Land begins; a client's own is none."""
-SINK_M_S, CLIMBING_M, CLIMBING_M_S = 0.8, 0.25, 1.0
-"""A landing goes down with 0.3 m/s; falling from the height that is flown here ends at 2.4 m/s. One
-that begins in a take-off, before the second height, may end at the third speed: a Brushless climbs
-on to 0.2 m, and sinks from there with 0.85 m/s; falling, it is 2 m/s."""
+SINK_M_S = 0.8
+"""A landing goes down with 0.3 m/s; falling from the height that is flown here ends at 2.4 m/s."""
 READS_S = 1.0
 """Python itself takes so long to start on a busy machine: until then a program was not begun."""
 DONE_BEFORE_S = 1.0
@@ -339,8 +337,7 @@ class Witness:
             counted["may fall"] += 1
             counted["fell"] += flight.sink_m_s > SINK_M_S
             return []
-        most_m_s = SINK_M_S if flight.highest_m > CLIMBING_M else CLIMBING_M_S
-        if flight.sink_m_s > most_m_s:
+        if flight.sink_m_s > SINK_M_S:
             held_s, who = self.watch.longest()
             if held_s >= HELD_UP_S:
                 self.say(f"not judged: the machine held {who} up for {held_s:.2f} s")
