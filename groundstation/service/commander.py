@@ -581,6 +581,7 @@ class Commander:
             if not lease.levelled:
                 lease.levelled = True
                 self._note("dead man", f"no setpoint from {lease.client}: level attitude")
+            lease.end_climb(link.supervisor.place)
             until_s = lease.setpoint_s + self.limits.stop_s
             send_level(link, lease.thrust, FAILSAFE, lease.height_m, until_s, lease.hovers)
 

@@ -25,12 +25,14 @@ from dataclasses import dataclass
 
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
 from groundstation.links.command import (
+    CLIMBS_M_S,
     LONGEST_S,
     LOOK_S,
     TUMBLED,
     CommandLink,
     CommandState,
     Landing,
+    Place,
 )
 from groundstation.service import requests
 from groundstation.service.config import FailsafeConfig
@@ -145,6 +147,8 @@ SILENT_S = 1.0
 GRACE_S, STALE_S = 0.3, 1.7
 """A process that stood still hears within this what its craft said meanwhile, where it did not
 stand still for longer than that: then nobody knows whether the craft still flies."""
+CLEAR_M = 0.3
+"""One that is asked for as much has left the floor, and is not asked to rise."""
 LANDED = "landed"
 LANDS = "the craft is being landed"
 
@@ -245,6 +249,12 @@ class Lease:
         self.flew |= self.flies
         if self.flies:
             self.announced = None
+
+    def end_climb(self, place: Place | None) -> None:
+        """One whose client fell silent as it took off is asked for the height that it has climbed
+        to: asked for less, it would sink to the floor too fast."""
+        if self.height_m is not None and place is not None and place.vz_m_s > CLIMBS_M_S:
+            self.height_m = max(self.height_m, min(place.z_m, CLEAR_M))
 
     def set_down(self) -> None:
         self.thrust, self.height_m, self.hovers = 0, None, False

@@ -108,7 +108,8 @@ def test_a_lease_that_is_released_in_flight_ends_with_a_landing(flying):
 
 @pytest.mark.parametrize("after_s", [0.15, 0.3, 0.5, 1.0])
 @pytest.mark.parametrize("climb_m_s", [0.4, 100.0])
-def test_a_landing_that_begins_in_a_take_off_first_ends_the_climb(tmp_path, climb_m_s, after_s):
+@pytest.mark.parametrize("ends", ["release", "silence"])
+def test_a_landing_after_a_take_off_first_ends_the_climb(tmp_path, ends, climb_m_s, after_s):
     """A Brushless climbs on: with less asked for than it has it sinks with 0.8 to 1.1 m/s."""
     flying = Highest(tmp_path / "changed.json", "flow_deck", "brushless")
     with contextlib.closing(flying.world):
@@ -116,7 +117,8 @@ def test_a_landing_that_begins_in_a_take_off_first_ends_the_climb(tmp_path, clim
         token, begun_s = flying.lease(), flying.world.now_s
         while (flown_s := flying.world.now_s - begun_s) < after_s:
             flying.steer(token, 0.02, thrust=0, height_m=min(0.3, climb_m_s * flown_s))
-        flying.commander.release(token)
+        if ends == "release":
+            flying.commander.release(token)
         flying.until_down()
         assert 0.1 < flying.highest_m < 1.1
         assert flying.has_landed(), (flying.height_m, flying.fastest_m_s)
