@@ -86,6 +86,7 @@ from groundstation.identification.likelihood.motion import (
     body_prior,
     estimates_of,
     joined,
+    lag_of_reports,
     model_of,
     own_of,
     point_of,
@@ -620,6 +621,9 @@ def find_effects(
     given_constants = body_prior(model, start)
     problem.prior.append(given_constants)
     problem.settle_filters()
+    shown = lag_of_reports(fit_on, problem.start, problem.frame)
+    if shown is not None:
+        problem.prior.append(shown)
     lost = _lost(fit_on)
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
     known += theirs

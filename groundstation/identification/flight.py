@@ -67,6 +67,9 @@ accelerometer by 1 g and more."""
 REST_S = 0.2
 TOUCH_DOWN_S = 0.6
 """From when the motors stop until the craft lies still: it may fall the last bit."""
+BESIDE_S = 5.0
+"""Rows of a recording that are looked at before and behind a flight: of its rest, for the gyro's
+bias; of several hops, each would else be reckoned over all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,15 @@ class Air:
     rests: tuple[bool, bool]
     height_m: Array
     maybe_low: int
+
+    def within(self, rows: slice) -> Air:
+        """The same of these rows of the run alone."""
+        start, stop, first, last = (
+            one - rows.start for one in (self.start, self.stop, self.first, self.last)
+        )
+        return replace(
+            self, start=start, stop=stop, first=first, last=last, height_m=self.height_m[rows]
+        )
 
 
 def turning(run: Run) -> Mask:
@@ -402,9 +414,10 @@ FOLLOW_S = 40.0
 class Flight:
     """One uninterrupted airborne stretch with everything around it.
 
-    run: all rows, missing ones filled in. known: (n,) rows that were received. first, last: the
-    airborne rows. attitude: on the rows on which it was new, within the stretch. height_m: (n,)
-    above the take-off point where it can be told, otherwise infinite. whole: the airborne rows,
+    run: its rows and some beside them, missing ones filled in. known: (n,) rows that were
+    received. first, last: the airborne rows. attitude: on the rows on which it was new, within the
+    stretch. height_m: (n,) above the take-off point where it can be told, otherwise infinite.
+    whole: the airborne rows,
     from rest and to rest where the flight began or ended on the ground; rests says whether it
     did. rotor_measured: speeds of all rotors were recorded throughout. gaps: rows of the stretch
     that were lost. up: mean over ``whole`` of the vertical in sensor axes (3,) and of the specific
@@ -482,20 +495,23 @@ def prepare(runs: Sequence[Run], least_s: float = LEAST_AIR_S) -> list[Flight]:
 
 
 def _flights(raw: Run, least_s: float) -> list[Flight]:
-    known: Mask = np.asarray(np.isfinite(raw.gyro).all(axis=1), np.bool_)
-    if not known.any():
+    received: Mask = np.asarray(np.isfinite(raw.gyro).all(axis=1), np.bool_)
+    if not received.any():
         raise BadInputError(
             f"{raw.name}: the gyro is missing; without body rates no effect can be told"
         )
-    run = without_gaps(raw)
-    measured = bool(np.isfinite(run.rotor_rev_s).all())
+    filled = without_gaps(raw)
+    measured = bool(np.isfinite(filled.rotor_rev_s).all())
     for name in () if measured else ("duty", "supply_v"):
         if not np.isfinite(getattr(raw, name)).any():
             require_known(raw, (name,), "the motors need it")
     has_accelerometer = bool(np.isfinite(raw.accelerometer).any())
     has_attitude = bool(np.isfinite(raw.attitude).any())
-    period, flights = run.period_s, []
-    for air in flights_in(run):
+    period, flights = filled.period_s, []
+    beside = round(BESIDE_S / period)
+    for found in flights_in(filled):
+        rows = slice(max(found.start - beside, 0), min(found.stop + beside, len(filled)))
+        run, known, air = filled[rows], received[rows], found.within(rows)
         first, last, rests = air.first, air.last - air.maybe_low, air.rests
         if (last - first) * period < least_s:
             continue

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from groundstation.dynamics.craft import add_effects, craft_of_model, find_effect, load_effects
 from groundstation.dynamics.effect import (
@@ -274,10 +275,14 @@ class Prior:
     centre: dict[str, float]
     weight: Array
     tail: float = math.inf
+    where_there: bool = False
+    """Of an effect's shape, say: it says nothing of a point at which that effect is absent."""
 
     def at(self, point: Mapping[str, float]) -> tuple[Array, Array, float]:
         """(normal matrix (k, k), gradient (k,), value) around a point."""
-        away = np.array([self.centre[key] - point[key] for key in self.keys])
+        if self.where_there and all(value(point, key) == absent(key) for key in self.keys):
+            return np.zeros_like(self.weight), np.zeros(len(self.keys)), 0.0
+        away = np.array([self.centre[key] - value(point, key) for key in self.keys])
         square = float(away @ self.weight @ away)
         if math.isinf(self.tail):
             return self.weight, self.weight @ away, square
@@ -525,8 +530,16 @@ FASTEST_REV_S = 2000.0
 """What a search tries need not be a motor: it must stay a number."""
 SMALL_MV = 1e-3
 """Step of a difference: far below what a law limits."""
-KNOT_S = 10.0
-"""The cell's own voltage is straight over so long."""
+KNOT_S = 2.0
+"""The cell's own voltage is straight over so long: over 10 s what its curve bends passes for sag,
+over 1 s what a report's steps of 2 mV shake does."""
+REPORT_LAG = "battery_reading_lag.time_constant_s"
+LAGS_S, LAG_WITHIN, SHOWS_LAG = (0.01, 2.0), 0.05, 0.9
+"""Lags that a report is asked for; how well it tells one, relative: a reading is held for 10 ms; a
+lag is not shown by one that leaves a larger share of what the shortest of them leaves."""
+PASSES = 2
+"""A load is reckoned with the voltage itself: at first with the report, then with what that
+says."""
 
 
 @dataclass(slots=True)
@@ -559,10 +572,59 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
     acting = [*prompt, *in_order(there, "motor")]
     add_effects(record, [(one.effect, one.named) for one in acting])
     for keep in (keep for keep in keeps.values() if keep != 0.0):
-        turned = _run(run, settings, record, supply, start)
-        back = (settings * (turned.halves or turned).end) @ record["back_emf_mv"]
-        supply = supply + _behind(flight, settings, supply, back, keep)
+        reported = supply
+        for _ in range(PASSES):
+            fast = _loads(settings, record, supply, _run(run, settings, record, supply, start))
+            supply, _left = _behind(flight, reported, fast, keep)
     return _run(run, settings, record, supply, start)
+
+
+def lag_of_reports(
+    flights: Sequence[Flight], point: Mapping[str, float], frame: Frame
+) -> Prior | None:
+    """By how much the reports of the battery lag, by themselves: which lag makes what motors draw
+    fit them best. None where none does much better than none.
+
+    Motion tells the lag by a thousandth of the thrust, which every constant of the motors bends;
+    the report shows it in millivolts.
+    """
+    of_report = [one for one in flights if one.rotors is None and np.ptp(one.run.supply_v) > 0.0]
+    record = frame.record(point)
+
+    def left(lag_s: float) -> float:
+        total = 0.0
+        for flight in of_report:
+            run, settings = flight.run, flight.run.settings
+            supply = np.repeat(1000.0 * run.supply_v, len(settings) // len(run))
+            start = steady_rev_s(rotor_motors(frame.model(point)), run.duty[0] * supply[0])
+            reported, keep = supply, math.exp(-run.period_s / lag_s)
+            for _ in range(PASSES):
+                fast = _loads(settings, record, supply, _run(run, settings, record, supply, start))
+                supply, square = _behind(flight, reported, fast, keep)
+            total += square
+        return total
+
+    if not of_report:
+        return None
+    low, high = LAGS_S
+    best = minimize_scalar(
+        lambda log_s: left(math.exp(log_s)),
+        bounds=(math.log(low), math.log(high)),
+        method="bounded",
+        options={"xatol": 0.1 * LAG_WITHIN},
+    )
+    if best.fun > SHOWS_LAG * left(low):
+        return None
+    lag_s = math.exp(best.x)
+    weight = np.array([[(LAG_WITHIN * lag_s) ** -2]])
+    return Prior((REPORT_LAG,), {REPORT_LAG: lag_s}, weight, TAIL, where_there=True)
+
+
+def _loads(settings: Array, record: np.void, supply: Array, turned: Rotors) -> Array:
+    """(m, 2) mV: what drives currents, negative, and what the rotors' speeds induce against it, by
+    each setting (m, 4)."""
+    back = (settings * (turned.halves or turned).end) @ record["back_emf_mv"]
+    return np.column_stack([-(settings**2).sum(axis=1) * supply, back])
 
 
 def _run(run: Run, settings: Array, record: np.void, supply: Array, start: Array) -> Rotors:
@@ -600,10 +662,10 @@ def _keep(one: Acting, craft: Craft, supply_mv: float, period_s: float) -> float
     return (nothing - behind(supply_mv, near)) / (behind(near, supply_mv) - nothing)
 
 
-def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep: float) -> Array:
-    """Real less reported voltage (m,) mV, under each setting, of a report that remembers the share
-    ``keep`` of itself from row to row. settings: (m, 4); back: (m,) mV, what the rotors' speeds
-    induce, each weighed by its setting.
+def _behind(flight: Flight, reported: Array, fast: Array, keep: float) -> tuple[Array, float]:
+    """Voltage (m,) mV under each setting, behind a report that remembers the share ``keep`` of
+    itself from row to row, and the sum of squares in mV^2 that is left of the report. fast: of
+    ``_loads``.
 
     The reading itself cannot be differentiated: its steps of a millivolt would be amplified. The
     cell can be modelled: E(t) - A sum d^2 V + B sum d n, lagged, is fitted to the report, which
@@ -614,36 +676,54 @@ def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep:
 
     run, count = flight.run, len(reported)
     each = count // len(run)
-    read = slice(each - 1, None, each)
-    load = (settings**2).sum(axis=1) * reported
     first, slow = each * min(flight.first, len(run) // 4), keep ** (1.0 / each)
     pieces = max(2, round((count - first) / each * run.period_s / KNOT_S))
-    hats = _hats(first, count, pieces, slow)
-    fast = np.column_stack([-load, back])
+    knots = _Knots.of(first, count, each, pieces, slow)
     late = np.empty_like(fast)
     first_order(fast, slow, late)
-    plain, lagged = (np.column_stack(both) for both in zip(hats, (fast, late), strict=True))
-    used, told = lagged[first:][read], reported[first:][read]
-    normal = used.T @ used
-    scale = np.sqrt(np.diag(normal)) + 1e-12
-    scaled = normal / np.outer(scale, scale), used.T @ told / scale
-    weights = np.linalg.lstsq(*scaled, rcond=1e-10)[0] / scale
-    return (plain - np.repeat(lagged[read], each, axis=0)) @ weights
+    moved, told = knots.left_of(late), knots.left_of(reported)
+    weights = np.linalg.lstsq(moved, told, rcond=1e-10)[0]
+    left = told - moved @ weights
+    return fast @ weights + knots.through(reported - late @ weights), float(left @ left)
 
 
-@lru_cache(maxsize=2)
-def _hats(first: int, count: int, pieces: int, keep: float) -> tuple[Array, Array]:
-    """Shares (count, pieces + 1) of knots in each row of straight pieces that begin at row
-    ``first``, and the same lagged: of the flight that is evaluated, whose motors are simulated for
-    every column of theirs. A knot of earlier rows would hardly be in the rows that are fitted: its
-    height was a hundred million volts."""
-    from groundstation.identification.likelihood.kernels import first_order
+@dataclass(frozen=True, slots=True)
+class _Knots:
+    """Straight pieces of a flight's rows, and what a report that lags shows of them.
 
-    knots, rows = np.linspace(first, count - 1, pieces + 1), np.maximum(np.arange(count), first)
-    hats = np.maximum(0.0, 1.0 - np.abs(rows[:, None] - knots) / (knots[1] - knots[0]))
-    lagged = np.empty_like(hats)
-    first_order(hats, keep, lagged)
-    return hats, lagged
+    read: rows that were read. hats: (m, k) shares of knots in each row. lagged: (n, k) orthonormal,
+    of the same, lagged, where it was read. solve: (k, k) from those to heights of knots.
+    """
+
+    read: slice
+    hats: Array
+    lagged: Array
+    solve: Array
+
+    @classmethod
+    @lru_cache(maxsize=2)
+    def of(cls, first: int, count: int, each: int, pieces: int, keep: float) -> _Knots:
+        """Pieces that begin at row ``first``: a knot of earlier rows would hardly be in the rows
+        that are fitted, and its height was a hundred million volts. Kept for the flight that is
+        evaluated, whose motors are simulated for every column of theirs."""
+        from groundstation.identification.likelihood.kernels import first_order
+
+        knots, rows = np.linspace(first, count - 1, pieces + 1), np.maximum(np.arange(count), first)
+        hats = np.maximum(0.0, 1.0 - np.abs(rows[:, None] - knots) / (knots[1] - knots[0]))
+        late = np.empty_like(hats)
+        first_order(hats, keep, late)
+        read = slice(first + each - 1, None, each)
+        lagged, upper = np.linalg.qr(late[read])
+        return cls(read, hats, lagged, np.linalg.inv(upper))
+
+    def left_of(self, values: Array) -> Array:
+        """What no knots explain of the rows that were read."""
+        read = values[self.read]
+        return np.asarray(read - self.lagged @ (self.lagged.T @ read))
+
+    def through(self, values: Array) -> Array:
+        """The pieces (m,) that, lagged, come nearest to the rows that were read."""
+        return np.asarray(self.hats @ (self.solve @ (self.lagged.T @ values[self.read])))
 
 
 Rows = tuple[Any, ...]
