@@ -533,7 +533,12 @@ SMALL_MV = 1e-3
 KNOT_S = 2.0
 """The cell's own voltage is straight over so long: over 10 s what its curve bends passes for sag,
 over 1 s what a report's steps of 2 mV shake does."""
-REPORT_LAG = "battery_reading_lag.time_constant_s"
+REPORT_LAG = next(
+    key.key
+    for one in VARIANTS
+    for key in one.unknowns
+    if one.definition.stage == "supply" and key.parameter.unit == "s"
+)
 LAGS_S, LAG_WITHIN, SHOWS_LAG = (0.01, 2.0), 0.05, 0.9
 """Lags that a report is asked for; how well it tells one, relative: a reading is held for 10 ms; a
 lag is not shown by one that leaves a larger share of what the shortest of them leaves."""
