@@ -593,30 +593,33 @@ def lag_of_reports(
     Motion tells the lag by a thousandth of the thrust, which every constant of the motors bends;
     the report shows it in millivolts.
     """
-    of_report = [one for one in flights if one.rotors is None and np.ptp(one.run.supply_v) > 0.0]
-    record = frame.record(point)
+    record, given = frame.record(point), []
+    for flight in flights:
+        run, settings = flight.run, flight.run.settings
+        if flight.rotors is not None or np.ptp(run.supply_v) == 0.0:
+            continue
+        reported = np.repeat(1000.0 * run.supply_v, len(settings) // len(run))
+        start = steady_rev_s(rotor_motors(frame.model(point)), run.duty[0] * reported[0])
+        given.append((flight, reported, _run(run, settings, record, reported, start)))
 
     def left(lag_s: float) -> float:
         total = 0.0
-        for flight in of_report:
-            run, settings = flight.run, flight.run.settings
-            supply = np.repeat(1000.0 * run.supply_v, len(settings) // len(run))
-            start = steady_rev_s(rotor_motors(frame.model(point)), run.duty[0] * supply[0])
-            reported, keep = supply, math.exp(-run.period_s / lag_s)
+        for flight, reported, turned in given:
+            supply, keep = reported, math.exp(-flight.period_s / lag_s)
             for _ in range(PASSES):
-                fast = _loads(settings, record, supply, _run(run, settings, record, supply, start))
+                fast = _loads(flight.run.settings, record, supply, turned)
                 supply, square = _behind(flight, reported, fast, keep)
             total += square
         return total
 
-    if not of_report:
+    if not given:
         return None
     low, high = LAGS_S
     best = minimize_scalar(
         lambda log_s: left(math.exp(log_s)),
         bounds=(math.log(low), math.log(high)),
         method="bounded",
-        options={"xatol": 0.1 * LAG_WITHIN},
+        options={"xatol": 0.2 * LAG_WITHIN},
     )
     if best.fun > SHOWS_LAG * left(low):
         return None
@@ -696,14 +699,14 @@ def _behind(flight: Flight, reported: Array, fast: Array, keep: float) -> tuple[
 class _Knots:
     """Straight pieces of a flight's rows, and what a report that lags shows of them.
 
-    read: rows that were read. hats: (m, k) shares of knots in each row. lagged: (n, k) orthonormal,
-    of the same, lagged, where it was read. solve: (k, k) from those to heights of knots.
+    read: rows that were read. hats: (m, k) shares of knots in each row. lagged: (n, k) of the same,
+    lagged, where it was read. inverse: (k, k) of their Gram matrix.
     """
 
     read: slice
     hats: Array
     lagged: Array
-    solve: Array
+    inverse: Array
 
     @classmethod
     @lru_cache(maxsize=2)
@@ -718,17 +721,17 @@ class _Knots:
         late = np.empty_like(hats)
         first_order(hats, keep, late)
         read = slice(first + each - 1, None, each)
-        lagged, upper = np.linalg.qr(late[read])
-        return cls(read, hats, lagged, np.linalg.inv(upper))
+        lagged = np.ascontiguousarray(late[read])
+        return cls(read, hats, lagged, np.linalg.inv(lagged.T @ lagged))
 
     def left_of(self, values: Array) -> Array:
         """What no knots explain of the rows that were read."""
         read = values[self.read]
-        return np.asarray(read - self.lagged @ (self.lagged.T @ read))
+        return np.asarray(read - self.lagged @ (self.inverse @ (self.lagged.T @ read)))
 
     def through(self, values: Array) -> Array:
         """The pieces (m,) that, lagged, come nearest to the rows that were read."""
-        return np.asarray(self.hats @ (self.solve @ (self.lagged.T @ values[self.read])))
+        return np.asarray(self.hats @ (self.inverse @ (self.lagged.T @ values[self.read])))
 
 
 Rows = tuple[Any, ...]
