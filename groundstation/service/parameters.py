@@ -10,7 +10,7 @@ import os
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -168,9 +168,10 @@ class Changes:
         *,
         client: str,
         uri: str,
+        unsure: Container[str] = (),
     ) -> None:
-        """Say what is about to be written to a craft that has ``present``. Raises BadInputError
-        where the disk does not keep it."""
+        """Say what is about to be written to a craft that has ``present``, of which those may have
+        arrived that are ``unsure``. Raises BadInputError where the disk does not keep it."""
 
         def noted(kept: dict[str, Change]) -> dict[str, Change]:
             new = dict(kept)
@@ -178,6 +179,8 @@ class Changes:
                 if name == RESETS_ESTIMATOR:
                     continue
                 before = kept.get(name)
+                if before and not before.is_on(present.get(name)) and name not in unsure:
+                    before = None  # it was switched off since then, and has its own values again
                 former = present[name] if before is None else before.former
                 written = () if before is None else before.written
                 if _single(value) != _single(former) and value not in written:
@@ -303,8 +306,9 @@ class Parameters:
         for name, value in values.items():
             link.require_parameter(name, value)
         async with self.turn:
-            present, who = link.parameters(), {"client": lease.client, "uri": link.uri}
-            await in_background(lambda: self.changes.note(lease.craft, values, present, **who))
+            present, unsure = link.parameters(), set(self.unsure)
+            noted = partial(self.changes.note, client=lease.client, uri=link.uri, unsure=unsure)
+            await in_background(lambda: noted(lease.craft, values, present))
             confirmed, restored = {}, self._restored.get(lease.craft, {})
             for name, value in values.items():
                 restored.pop(name, None)

@@ -161,6 +161,26 @@ def test_a_craft_that_was_switched_off_and_on_has_forgotten_and_so_does_the_daem
     assert tuned.lease("another")
 
 
+def test_a_client_that_writes_before_the_daemon_has_forgotten_gets_back_what_the_craft_has(tuned):
+    """A former value of before the craft was switched off was written to it in the next flight."""
+    tuned.one.craft.set_parameter(ROLL, 115.0)
+    tuned.wait(1.0)
+    tuned.write(tuned.lease(), **{ROLL: 130.0})
+    tuned.kill_daemon()
+    tuned.one.craft.set_parameter(ROLL, 120.0)  # it has been switched off
+    tuned.begin(tuned.path)
+    tuned.one.connect()
+    token = tuned.lease("the next")
+    assert tuned.noted() != {}, "the daemon has not looked yet"
+    tuned.write(token, **{ROLL: 110.0})
+    tuned.kill_daemon()
+    tuned.begin(tuned.path)
+    tuned.one.connect()
+    tuned.wait(4.0)
+    assert tuned.gains()[ROLL] == 120.0
+    assert tuned.noted() == {}
+
+
 def test_what_somebody_set_anew_since_is_left_alone(tuned):
     token = tuned.lease()
     tuned.write(token, **{ROLL: 180.0, PITCH: 190.0})

@@ -1,6 +1,7 @@
 """The rotor speeds behind a flight, as every stage of identification takes them."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import msgspec
 import numpy as np
@@ -173,7 +174,8 @@ def test_a_report_that_lags_drives_the_rotors_of_a_late_flight_as_well():
     np.testing.assert_allclose(behind, true, rtol=0.01)
 
 
-def flown(lag_s, seconds=60.0, period_s=0.002):
+@lru_cache
+def flown(lag_s, seconds=24.0, period_s=0.002):
     """A flight in which collective thrust steps, and the voltage at its motors, mV: a cell that
     loses charge along a bent curve behind a resistance, its report filtered 100 times a second and
     in steps of 2 mV. By Euler, and no function of the package."""
