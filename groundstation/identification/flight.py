@@ -414,19 +414,18 @@ FOLLOW_S = 40.0
 class Flight:
     """One uninterrupted airborne stretch with everything around it.
 
-    run: its rows and some beside them, missing ones filled in. known: (n,) rows that were
-    received. first, last: the airborne rows. attitude: on the rows on which it was new, within the
-    stretch. height_m: (n,) above the take-off point where it can be told, otherwise infinite.
-    whole: the airborne rows,
-    from rest and to rest where the flight began or ended on the ground; rests says whether it
-    did. rotor_measured: speeds of all rotors were recorded throughout. gaps: rows of the stretch
-    that were lost. up: mean over ``whole`` of the vertical in sensor axes (3,) and of the specific
-    force along it, None without accelerometer or attitude. carried: (n, 3) attitude that owes
-    little to the accelerometer, None without attitude. force_between: rows of the accelerometer are
-    means of readings half a row before and half a row after. orientation, carried_orientation:
-    (4, n) quaternions of the reported attitude and of ``carried`` (or else of the reported one),
-    and upward: (last - first, 3) the vertical in sensor axes; level without attitude. rotors:
-    measured speeds, squared, None where they are not.
+    run: its rows and some beside them, missing ones filled in. known: (n,) rows that were received.
+    first, last: the airborne rows. attitude: on the rows on which it was new, within the stretch.
+    height_m: (n,) above the take-off point where it can be told, otherwise infinite. whole: the
+    airborne rows, from rest and to rest where the flight began or ended on the ground; rests says
+    whether it did. rotor_measured: speeds of all rotors were recorded throughout. gaps: rows of the
+    stretch that were lost. up: mean over ``whole`` of the vertical in sensor axes (3,) and of the
+    specific force along it, None without accelerometer or attitude. carried: (n, 3) attitude that
+    owes little to the accelerometer, None without attitude. force_between: rows of the
+    accelerometer are means of readings half a row before and half a row after. orientation,
+    carried_orientation: (4, n) quaternions of the reported attitude and of ``carried`` (or else of
+    the reported one), and upward: (last - first, 3) the vertical in sensor axes; level without
+    attitude. rotors: measured speeds, squared, None where they are not.
     """
 
     run: Run

@@ -306,9 +306,9 @@ class Parameters:
         for name, value in values.items():
             link.require_parameter(name, value)
         async with self.turn:
-            present, unsure = link.parameters(), set(self.unsure)
-            noted = partial(self.changes.note, client=lease.client, uri=link.uri, unsure=unsure)
-            await in_background(lambda: noted(lease.craft, values, present))
+            note = partial(self.changes.note, lease.craft, values, link.parameters())
+            unsure = set(self.unsure)
+            await in_background(partial(note, client=lease.client, uri=link.uri, unsure=unsure))
             confirmed, restored = {}, self._restored.get(lease.craft, {})
             for name, value in values.items():
                 restored.pop(name, None)
